@@ -112,7 +112,7 @@ class Family:
             `Symmetries`; None: there are none.
         goal: `goal(env)` is the `zipf.envs.goals.Goal` of a batch: it reads from observations what
             an episode asks for; None: they do not say.
-        sliceable: whether several threads may step its envs, see `zipf.envs.slices`.
+        sliceable: whether several threads or processes may step its envs, see `zipf.envs.slices`.
         tensor: makes a batch that a PyTorch device steps, a `zipf.envs.tensor.TensorEnv`:
             `tensor(num_envs, level=..., device=..., **options)`, of the same levels and options as
             `make_vec`; None: there is none.
@@ -173,12 +173,10 @@ class Family:
             if name not in known:
                 raise unknown(f"{self.name} option", name, known)
 
-    def make_batch(
-        self, level: str, num_envs: int, *, threads: int = 1, **kwargs: Any
-    ) -> ZipfVectorEnv:
+    def make_batch(self, level: str, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
         """`num_envs` envs of a level, named without the family's name."""
         self.check_options(kwargs, "autoreset_mode", "copy", "render_mode")
-        return _batch(partial(self.load_make_vec(), level=level), num_envs, threads, **kwargs)
+        return self.load_make_vec()(num_envs, level=level, **kwargs)
 
     def load_make_vec(self) -> Callable[..., ZipfVectorEnv]:
         """What `make_vec` is, imported where it is a name."""
@@ -323,6 +321,7 @@ def make_vec(
     num_envs: int,
     *,
     threads: int = 1,
+    processes: int | None = None,
     **kwargs: Any,
 ) -> ZipfVectorEnv:
     """`num_envs` envs of a level that step together.
@@ -332,39 +331,77 @@ def make_vec(
             envs evenly, see `Mixture`.
         num_envs: number of envs N.
         threads: how many step the envs, where these are `sliceable`, see `zipf.envs.slices`.
+        processes: the same with processes in the place of threads, see `zipf.envs.processes`;
+            None: this one.
         kwargs: `autoreset_mode`, `copy`, `render_mode` and constructor options; a `SplitLevel`'s
             own options go before those.
 
     Raises:
         ValueError: for an unknown level, or options out of range.
     """
+    if threads != 1 or processes is not None:
+        return _sliced(partial(_rows_of, level), num_envs, threads, processes, **kwargs)
     if isinstance(level, str):
         found, name = find_level(level)
-        return found.make_batch(name, num_envs, threads=threads, **kwargs)
+        return found.make_batch(name, num_envs, **kwargs)
     if isinstance(level, SplitLevel):
-        return make_vec(level.level, num_envs, threads=threads, **{**kwargs, **level.options})
+        return make_vec(level.level, num_envs, **{**kwargs, **level.options})
     if callable(level):
-        return _batch(level, num_envs, threads, **kwargs)
+        return level(num_envs, **kwargs)
     if not isinstance(level, Sequence):
         raise ValueError(
             "a level must be a name such as 'gridworld/zipf_2', a function that makes a batch, or "
             f"a list of these; got {level!r}"
         )
-    return _mixture(level, num_envs, threads=threads, **kwargs)
+    return _mixture(level, num_envs, **kwargs)
 
 
-def _batch(
-    make: Callable[..., ZipfVectorEnv], num_envs: int, threads: int, **kwargs: Any
+def _sliced(
+    make: Callable[..., ZipfVectorEnv],
+    num_envs: int,
+    threads: int,
+    processes: int | None,
+    **kwargs: Any,
 ) -> ZipfVectorEnv:
-    if threads == 1:
-        return make(num_envs, **kwargs)
-    from zipf.envs.slices import Slices
+    if processes is None:
+        from zipf.envs.slices import Slices
 
-    return Slices(make, num_envs, threads, **kwargs)
+        return Slices(make, num_envs, threads, **kwargs)
+    if threads != 1:
+        raise ValueError(f"threads={threads}, processes={processes}: give one of them")
+    from zipf.envs.processes import Processes
+
+    return Processes(make, num_envs, processes, **kwargs)
+
+
+def _rows_of(
+    level: Level | SplitLevel | Sequence[Level | SplitLevel],
+    rows: slice,
+    num_envs: int,
+    **kwargs: Any,
+) -> ZipfVectorEnv:
+    """These rows of what `make_vec` makes."""
+    count = rows.stop - rows.start
+    if isinstance(level, str | SplitLevel) or not isinstance(level, Sequence):
+        return make_vec(level, count, **kwargs)
+    from zipf.envs.mixture import shared
+
+    levels = shared(_names(level), num_envs)[rows]
+    return _mixture(level, count, levels_of_envs=levels, **kwargs)
+
+
+def _rows_drawn(
+    levels: Sequence[SplitLevel],
+    probabilities: Sequence[float],
+    rows: slice,
+    num_envs: int,
+    **kwargs: Any,
+) -> ZipfVectorEnv:
+    return _mixture(levels, rows.stop - rows.start, probabilities, **kwargs)
 
 
 def sliceable(split: Split) -> bool:
-    """Whether several threads can step the envs that `make_train` makes of a split."""
+    """Whether several threads or processes can step the envs that `make_train` makes of a split."""
 
     def one(level: Level | SplitLevel) -> bool:
         if isinstance(level, SplitLevel):
@@ -374,19 +411,29 @@ def sliceable(split: Split) -> bool:
     return all(map(one, split.train))
 
 
-def make_train(split: Split, num_envs: int, **kwargs: Any) -> ZipfVectorEnv:
-    """The envs to train on, as the split shares them among its train levels.
+def make_train(
+    split: Split,
+    num_envs: int,
+    *,
+    threads: int = 1,
+    processes: int | None = None,
+    **kwargs: Any,
+) -> ZipfVectorEnv:
+    """The envs to train on, as the split shares them among its train levels; the arguments are
+    those of `make_vec`.
 
     Raises:
         ValueError: options that a level cannot have, or fewer envs than levels to share them.
     """
-    if split.draw == "resets":
-        ranked = _ranked(split)
-        trained = {level.name: level.weight for level in split.train}
-        return _mixture(ranked, num_envs, [trained.get(one.name, 0.0) for one in ranked], **kwargs)
-    if len(split.train) == 1:
-        return make_vec(split.train[0], num_envs, **kwargs)
-    return _mixture(split.train, num_envs, **kwargs)
+    if split.draw == "worlds":
+        levels = split.train if len(split.train) > 1 else split.train[0]
+        return make_vec(levels, num_envs, threads=threads, processes=processes, **kwargs)
+    ranked = _ranked(split)
+    trained = {level.name: level.weight for level in split.train}
+    drawn = ranked, [trained.get(one.name, 0.0) for one in ranked]
+    if threads != 1 or processes is not None:
+        return _sliced(partial(_rows_drawn, *drawn), num_envs, threads, processes, **kwargs)
+    return _mixture(drawn[0], num_envs, drawn[1], **kwargs)
 
 
 def has_tensor(split: Split) -> bool:
@@ -468,19 +515,18 @@ def _mixture(
     probabilities: Sequence[float] | None = None,
     **kwargs: Any,
 ) -> ZipfVectorEnv:
-    from functools import partial
-
     from zipf.envs.mixture import Mixture
 
-    makers = {
-        one.name if isinstance(one, SplitLevel) else level_name(one): partial(make_vec, one)
-        for one in levels
-    }
+    makers = dict(zip(_names(levels), (partial(make_vec, one) for one in levels), strict=True))
     if len(makers) < len(levels):
         raise ValueError(f"a mixture has every level once, got {', '.join(map(str, levels))}")
     if probabilities is None:
         return Mixture(makers, num_envs, **kwargs)
     return Mixture(makers, num_envs, draw="resets", probabilities=probabilities, **kwargs)
+
+
+def _names(levels: Sequence[Level | SplitLevel]) -> list[str]:
+    return [one.name if isinstance(one, SplitLevel) else level_name(one) for one in levels]
 
 
 def baseline(name: str, level: Level | SplitLevel, /, **kwargs: Any) -> BaselineScore | None:

@@ -50,6 +50,8 @@ class Mixture(ZipfVectorEnv):
         rank: with "resets", the name of the levels' rank; none that `ZipfVectorEnv` reserves.
         options: constructor options of all levels.
         level_options: constructor options of single levels, by level name; they override `options`.
+        levels_of_envs: with "worlds", the place in `levels` of each env's level, int64 [N], where
+            the envs are not to be shared evenly.
 
     Attributes:
         level_names: the levels by rank; with "worlds", in the order of their envs.
@@ -74,6 +76,7 @@ class Mixture(ZipfVectorEnv):
         order: str | int = "forward",
         rank: str = "level",
         level_options: Mapping[str, Mapping[str, Any]] | None = None,
+        levels_of_envs: NDArray[np.int64] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         copy: bool = True,
         render_mode: str | None = None,
@@ -101,13 +104,10 @@ class Mixture(ZipfVectorEnv):
         else:
             if exponent is not None or probabilities is not None or order != "forward":
                 raise ValueError("exponent, probabilities and order need draw='resets'")
-            if num_envs < count:
-                raise ValueError(
-                    f"num_envs must be at least {count}, an env for each of the levels "
-                    f"{', '.join(levels)}; got {num_envs}"
-                )
             self.level_names = tuple(levels)
-            self.levels_of_envs = np.sort(np.arange(num_envs) % count)
+            if levels_of_envs is None:
+                levels_of_envs = shared(self.level_names, num_envs)
+            self.levels_of_envs = levels_of_envs
         self.batches = [
             levels[name](
                 num_envs,
@@ -145,6 +145,7 @@ class Mixture(ZipfVectorEnv):
         self.reports_success = all(batch.reports_success for batch in self.batches)
         self.longest_episode = max(batch.longest_episode for batch in self.batches)
         self.achieves = all(batch.achieves for batch in self.batches)
+        self.sliceable = all(batch.sliceable for batch in self.batches)
         regions = [batch.action_regions for batch in self.batches]
         known = [one for one in regions if one is not None]
         if len(known) == count and all(np.array_equal(known[0], one) for one in known):
@@ -159,6 +160,14 @@ class Mixture(ZipfVectorEnv):
             render_mode=render_mode,
         )
         self._names = np.array(self.level_names)
+        self.level_of_envs = (
+            f"{rank}_name" if draw == "resets" else self._names[self.levels_of_envs]
+        )
+        self._state_axis = {
+            f"{name}:{key}": axis
+            for name, batch in zip(self.level_names, self.batches, strict=True)
+            for key, axis in batch._state_axis.items()
+        }
         if draw == "resets":
             self.probabilities = zipfian(count, exponent) if exponent is not None else probabilities
         self._engine_of = _engines(self.batches)
@@ -458,6 +467,18 @@ def _engines(batches: Sequence[ZipfVectorEnv]) -> NDArray[np.int64]:
         for k, (batch, key) in enumerate(zip(batches, keys, strict=True))
     ]
     return np.array([engines.index(engine) for engine in engines])
+
+
+def shared(names: Sequence[str], num_envs: int) -> NDArray[np.int64]:
+    """The place of each env's level, int64 [N], where envs are shared evenly among these levels.
+    Raises ValueError: there are fewer envs than levels."""
+    count = len(names)
+    if num_envs < count:
+        raise ValueError(
+            f"num_envs must be at least {count}, an env for each of the levels "
+            f"{', '.join(names)}; got {num_envs}"
+        )
+    return np.sort(np.arange(num_envs) % count)
 
 
 def _without_episodes(batch: ZipfVectorEnv) -> ZipfVectorEnv:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from zipf.envs.family import Scripted, scripted
 from zipf.envs.mixture import Mixture
 from zipf.envs.remembering import Remembering
+from zipf.envs.slices import SlicedPolicy, Slices
 from zipf.envs.splits import Split
 
 if TYPE_CHECKING:
@@ -18,18 +20,22 @@ if TYPE_CHECKING:
     from zipf.envs.vector import ZipfVectorEnv
 
 
-class Teacher:
+class Teacher(Remembering):
     """A scripted policy, of `zipf.envs.SCRIPTED`, of the envs that `zipf.envs.make_train` makes of
     a split. Called, it gives the actions, int64 [N], that it would take. Raises ValueError: a train
     level has no such policy."""
 
     def __init__(self, name: Scripted, split: Split, env: ZipfVectorEnv):
         self._env = env
+        self._policies: dict[int, BoundPolicy] = {}
+        self._sliced: SlicedPolicy | None = None
+        if isinstance(env, Slices):
+            self._sliced = SlicedPolicy(env, partial(Teacher, name, split))
+            return
         batches = {0: (split.train[0].name, env)}
         if isinstance(env, Mixture):  # one policy for all envs on an engine
             firsts = np.unique(env.engines).tolist()
             batches = {k: (env.level_names[k], env.batches[k]) for k in firsts}
-        self._policies: dict[int, BoundPolicy] = {}
         for k, (level, batch) in batches.items():
             policy = scripted(name, level, batch)
             if policy is None:
@@ -37,6 +43,8 @@ class Teacher:
             self._policies[k] = policy
 
     def __call__(self) -> NDArray[np.int64]:
+        if self._sliced is not None:
+            return self._sliced()
         if not isinstance(self._env, Mixture):
             return self._policies[0]()
         actions = np.zeros(self._env.num_envs, np.int64)
@@ -47,6 +55,8 @@ class Teacher:
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """What its policies remember, by name."""
+        if self._sliced is not None:
+            return self._sliced.get_state()
         state: dict[str, NDArray[Any]] = {}
         for k, policy in self._policies.items():
             if isinstance(policy, Remembering):
@@ -55,6 +65,8 @@ class Teacher:
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Continues from `get_state()`, in the same envs."""
+        if self._sliced is not None:
+            self._sliced.set_state(state)
         for k, policy in self._policies.items():
             if isinstance(policy, Remembering):
                 start = f"{k}:"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +15,13 @@ from numpy.typing import ArrayLike
 
 from zipf.envs.arguments import mapping, whole
 from zipf.protocol import KINDS, PAPER_KINDS
+
+
+def _read_only(values: dict[str, Any]) -> Mapping[str, Any]:
+    return MappingProxyType(values)
+
+
+copyreg.pickle(MappingProxyType, lambda proxy: (_read_only, (dict(proxy),)))  # so splits can be
 
 Level = str | Callable[..., Any]
 """A level's full name (`"gridworld/rare"`), or a function that makes a batch of its envs,

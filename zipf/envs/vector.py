@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, ClassVar, Self, cast
+from typing import Any, Self, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -128,8 +128,10 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             it ends an episode (top, left, bottom, right, in sides of the image): what is achieved
             is there, and nothing else. None where actions do not point.
         sliceable: whether several batches of this class may work at the same time, each in a thread
-            of its own, see `zipf.envs.slices`.
+            or a process of its own, see `zipf.envs.slices`.
         longest_episode: an evaluation takes an episode of more steps for one that never ends.
+        level_of_envs: of several levels the name of each env's, [N], or, where one is drawn at
+            every reset, the entry of `info` that has it; None: there is one level.
 
     Raises:
         ValueError: for an argument out of range, a reserved name in `situation`, or an action space
@@ -142,8 +144,9 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     reports_success: bool = True
     achieves: bool = False
     action_regions: NDArray[np.float32] | None = None
-    sliceable: ClassVar[bool] = False
+    sliceable: bool = False
     longest_episode: int = 1_000_000  # ours
+    level_of_envs: str | NDArray[np.str_] | None = None
 
     def __init__(
         self,
@@ -412,49 +415,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                             "observations are written to"
                         )
 
-        if begins:
-            self._begin_episodes(~mask, self._unforced)
-        self._lengths += mask
-        try:
-            reward, terminated, truncated, success = self._advance(actions, mask)
-        except BaseException:
-            # Some envs may have been stepped and others not.
-            self._running &= ~mask
-            self._all_running = False
-            raise
-        now = self._running_info()
-        if begins:
-            reward = np.where(mask, reward, 0.0)
-            terminated, truncated = terminated & mask, truncated & mask
-        self._returns += reward
-        done = terminated | truncated
-        info: Info = now
-        if done.any():
-            outcome: dict[str, NDArray[Any]] = {
-                "return": self._returns.copy(),
-                "length": self._lengths.copy(),
-            }
-            if self.reports_success:
-                outcome["success"] = success
-            if self._reports_achieved:
-                outcome["achieved"], outcome["has_achieved"] = self._achieved(done)
-            if same_step:
-                info = {"final_info": {**now, **outcome}, "_final_info": done}
-                if final is not None:
-                    self._observe(final, done)
-                    self._check_finite(final, done)
-                    info["final_obs"] = final
-                    info["_final_obs"] = done.copy()
-                self._begin_episodes(done, self._unforced)
-                info.update(self._running_info())
-            else:
-                info.update(outcome)
-                info.update({f"_{key}": done.copy() for key in outcome})
-                self._running &= ~done
-                self._all_running = False
-        self._observe(observation, self._everywhere)
-        self._check_finite(observation, self._everywhere)
-        return observation, reward, terminated, truncated, info
+        return self._step(actions, mask, observation, final)
 
     def report_achieved(self) -> None:
         """From now on the outcome of an episode has two entries more: `achieved` [N, K], the goal
@@ -560,6 +521,77 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         state = {**self.__dict__, "_buffers": {}}
         state.pop("observation_space", None)
         return state
+
+    def _step(
+        self,
+        actions: NDArray[np.int64],
+        mask: NDArray[np.bool_],
+        observation: Observation,
+        final: Observation | None,
+    ) -> Step:
+        """Steps the envs of `mask`, and begins episodes in the others."""
+        begins = mask is not self._everywhere
+        if begins:
+            self._begin_episodes(~mask, self._unforced)
+        self._lengths += mask
+        try:
+            reward, terminated, truncated, success = self._advance(actions, mask)
+        except BaseException:
+            # Some envs may have been stepped and others not.
+            self._running &= ~mask
+            self._all_running = False
+            raise
+        now = self._running_info()
+        if begins:
+            reward = np.where(mask, reward, 0.0)
+            terminated, truncated = terminated & mask, truncated & mask
+        self._returns += reward
+        done = terminated | truncated
+        info: Info = now
+        if done.any():
+            outcome: dict[str, NDArray[Any]] = {
+                "return": self._returns.copy(),
+                "length": self._lengths.copy(),
+            }
+            if self.reports_success:
+                outcome["success"] = success
+            if self._reports_achieved:
+                outcome["achieved"], outcome["has_achieved"] = self._achieved(done)
+            if self.autoreset_mode is AutoresetMode.SAME_STEP:
+                info = {"final_info": {**now, **outcome}, "_final_info": done}
+                if final is not None:
+                    self._observe(final, done)
+                    self._check_finite(final, done)
+                    info["final_obs"] = final
+                    info["_final_obs"] = done.copy()
+                self._begin_episodes(done, self._unforced)
+                info.update(self._running_info())
+            else:
+                info.update(outcome)
+                info.update({f"_{key}": done.copy() for key in outcome})
+                self._running &= ~done
+                self._all_running = False
+        self._observe(observation, self._everywhere)
+        self._check_finite(observation, self._everywhere)
+        return observation, reward, terminated, truncated, info
+
+    def _begin_slice(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
+        """`_begin` of a slice of another batch."""
+        if mask.any():
+            self._begin(mask, np.ascontiguousarray(forced))
+
+    def _step_slice(
+        self, actions: NDArray[np.int64], observation: Observation, final: Observation | None
+    ) -> Any:
+        """Steps a slice of another batch, which has begun and ended episodes since: reward,
+        terminated and truncated, `info` of the running episodes, and that of those that ended."""
+        self._all_running = bool(self._running.all())
+        _, reward, terminated, truncated, info = self.step(
+            actions, out=observation, final_out=final
+        )
+        now = {k: v for k, v in info.items() if k not in RESERVED and not k.startswith("_")}
+        last = info.get("final_info", {k: v for k, v in info.items() if k in RESERVED})
+        return reward, terminated, truncated, now, last
 
     def _running_info(self) -> Info:
         return {**self._situations(), **self._describe()}

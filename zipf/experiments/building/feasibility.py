@@ -50,7 +50,9 @@ def problems(config: Config) -> Iterator[str]:
             f"collector.num_envs={config.collector.num_envs}: should be at least "
             f"{len(train) * config.learners}, an env for each train level of {split.name}{of_each}"
         )
-    yield from _not_so_many_threads(config)
+    for option in ("threads", "processes"):
+        yield from _not_so_many(config, option)
+    yield from _which_workers(config)
     yield from _no_parts(config)
     if config.collector.envs == "device":
         for option in only_on_the_host(config):
@@ -181,21 +183,34 @@ def _reads_itself(config: Config) -> Iterator[str]:
         )
 
 
-def _not_so_many_threads(config: Config) -> Iterator[str]:
-    if (threads := config.threads or 1) == 1:
+def _not_so_many(config: Config, option: str) -> Iterator[str]:
+    """Why so many threads or processes cannot step the envs."""
+    count = getattr(config, option)
+    if count is None or (option == "threads" and count == 1):
         return
     # macOS does not say which cores a process may use.
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     if not envs.sliceable(envs.split(config.environment.split)):
         yield (
-            f"threads={threads}: the envs of {config.environment.split} are stepped by one thread; "
-            "choose threads=1, or leave it out"
+            f"{option}={count}: the envs of {config.environment.split} are stepped by one thread; "
+            f"{'choose threads=1, or ' if option == 'threads' else ''}leave it out"
         )
-    elif threads > config.num_envs:
+    elif count > config.num_envs:
         of_each = ", those of each learner" if config.learners > 1 else ""
-        yield f"threads={threads}: should be at most {config.num_envs}, the envs{of_each}"
-    elif cores and threads > cores:
-        yield f"threads={threads}: should be at most {cores}, the cores that this process may use"
+        yield f"{option}={count}: should be at most {config.num_envs}, the envs{of_each}"
+    elif cores and count > cores:
+        yield f"{option}={count}: should be at most {cores}, the cores that this process may use"
+
+
+def _which_workers(config: Config) -> Iterator[str]:
+    """Both threads and processes, or processes where others step the envs."""
+    if config.processes is None:
+        return
+    option = f"processes={config.processes}"
+    if config.threads is not None:
+        yield f"{option}, threads={config.threads}: step the same envs; leave out one of them"
+    if isinstance(config.runtime, RayOptions):
+        yield f"{option}: with runtime=ray each actor steps its envs; leave it out"
 
 
 def _no_parts(config: Config) -> Iterator[str]:

@@ -123,6 +123,7 @@ class Config(Options):
     capture: bool = True
     deterministic: bool = False
     threads: PositiveInt | None = None
+    processes: PositiveInt | None = None
     resume: Literal["auto", "must", "never"]
     agent: Any
     memory: Any
@@ -202,8 +203,9 @@ class Config(Options):
     @property
     def env_threads(self) -> int:
         """How many threads step the envs of a learner: without `threads` as many as PyTorch has, or
-        one fewer where collection runs ahead and the learner computes at the same time."""
-        if not envs.sliceable(self.split):
+        one fewer where collection runs ahead and the learner computes at the same time; one where
+        processes step them."""
+        if self.processes is not None or not envs.sliceable(self.split):
             return 1
         if self.threads is not None:
             return self.threads

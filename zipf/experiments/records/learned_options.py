@@ -8,7 +8,7 @@ from typing import Any
 # and a run may be resumed with other values of them.
 NOT_LEARNED = frozenset({
     "condition", "row", "plugins", "updates", "run_root", "device", "compile", "capture",
-    "deterministic", "threads", "resume", "collector.envs", "evaluation", "schedule",
+    "deterministic", "threads", "processes", "resume", "collector.envs", "evaluation", "schedule",
     "runtime.address",
 })  # fmt: skip
 

@@ -16,7 +16,6 @@ from torch import Tensor
 from zipf.agents.agent import Agent
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll, changed
-from zipf.envs.mixture import Mixture
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.building.checkpoint import arrays
 from zipf.experiments.hooks.augmentation import HostAugmentation
@@ -249,11 +248,9 @@ class Collector:
 
     def _record(self, final_info: dict[str, NDArray], ended: NDArray[np.bool_]) -> None:
         """Keeps the outcomes of the episodes that ended, for `episode_metrics`."""
-        levels = None
-        if isinstance(self.env, Mixture) and self.env.draw == "resets":
-            levels = final_info[f"{self.env.rank}_name"]
-        elif isinstance(self.env, Mixture):
-            levels = np.array(self.env.level_names)[self.env.levels_of_envs]
+        levels = self.env.level_of_envs
+        if isinstance(levels, str):
+            levels = final_info[levels]
         for name in _OUTCOMES:
             if name == "success" and not self.env.reports_success:
                 continue

@@ -174,7 +174,11 @@ class Run:
             )
         else:
             self.env = envs.make_train(
-                config.split, config.num_envs, threads=config.env_threads, **config.level_options
+                config.split,
+                config.num_envs,
+                threads=config.env_threads,
+                processes=config.processes,
+                **config.level_options,
             )
         self.agent = build_agent(config, self.env)
         try:
