@@ -21,6 +21,7 @@ from zipf.experiments.options import command_line, config_files, schema
 from zipf.experiments.sweeping import sweeps
 
 EXPERIMENTS = command_line.choices("experiment")
+LIFT = "experiment=playroom_lift_compact"
 GROUPS = [group for group in config_files.parts() if group != "agent"]
 CHOICES = [(group, choice) for group in GROUPS for choice in command_line.choices(group)]
 
@@ -485,6 +486,25 @@ def test_the_last_seed_counts():
 def test_what_a_run_could_not_describe_or_would_ignore_is_refused(given, told):
     with pytest.raises(UserError, match=re.escape(told)):
         loading.load(["experiment=demo", given.replace("\\n", "\n")])
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (
+            ["processes=1"],
+            "processes=1: the envs of gridworld_demo are stepped by one thread; leave",
+        ),
+        (["processes=0"], "processes=0"),
+        ([LIFT, "processes=9", "collector.num_envs=4"], "processes=9: should be at most 4, the"),
+        ([LIFT, "processes=2000", "collector.num_envs=4000"], "processes=2000: should be at most "),
+        ([LIFT, "processes=1", "threads=1"], "processes=1, threads=1: step the same envs; leave"),
+    ],
+)
+def test_processes_that_cannot_step_the_envs_are_refused(given, told):
+    start = [] if LIFT in given else ["experiment=demo"]
+    with pytest.raises(UserError, match=re.escape(told)):
+        loading.load([*start, *given])
 
 
 def test_an_option_without_its_group_is_found_in_all_groups():

@@ -69,7 +69,7 @@ def test_a_process_that_is_killed_is_one_clear_error(env: Processes) -> None:
 def test_an_error_in_a_process_is_raised_here(env: Processes) -> None:
     everywhere, out = np.ones(4, np.bool_), env.allocate()
     with pytest.raises(ValueError, match=r"actions must be in 0 \.\. 45, got 2 \.\. 99") as found:
-        env._step(np.array([0, 1, 2, 99]), everywhere, out, None)
+        env._step_checked(np.array([0, 1, 2, 99]), everywhere, out, None)
     assert "in a process of the envs:\nTraceback" in found.value.__notes__[0]
     with pytest.raises(ResetNeeded):
         env.step(actions(env))

@@ -53,7 +53,7 @@ def same(one: Any, other: Any) -> bool:
 @pytest.mark.parametrize("workers", WORKERS, ids=str)
 def test_slices_keep_the_contract(level: str, workers: dict[str, int]) -> None:
     options = SMALL[level]
-    (name, count), steps = workers.items(), 300 if "threads" in workers else 40
+    ((name, count),), steps = workers.items(), 300 if "threads" in workers else 40
     check_vector_env(
         lambda num_envs, **others: envs.make_vec(
             level, num_envs, **{name: min(count, num_envs)}, **options, **others

@@ -65,9 +65,11 @@ class Processes(Slices):
                 self._pipes.append(ours)
                 self._processes.append(_start(theirs, self._memory))
                 theirs.close()
-            return self.each("begin", lambda rows: (make, rows, count))
+            num_envs = self.rows[-1].stop
+            return self.each("begin", lambda rows: (make, rows, num_envs, count))
         except BaseException:
             self._end()
+            os.close(self._memory)
             raise
 
     def _share_rows(self) -> None:
@@ -211,10 +213,12 @@ class _Worker:
         self.memory = memory
         self.objects: list[Any] = [self]
 
-    def begin(self, make: Callable[[slice], ZipfVectorEnv], rows: slice, count: int) -> Any:
+    def begin(
+        self, make: Callable[[slice], ZipfVectorEnv], rows: slice, num_envs: int, count: int
+    ) -> dict[str, Any]:
         self.part = part = make(rows)
         found = described(part, Processes._workers, count)
-        state, observation, final = _arrays(self.memory, make.keywords["num_envs"], part)
+        state, observation, final = _arrays(self.memory, num_envs, part)
         share(state, part, rows)
         self.observation, self.final = cut(observation, rows), cut(final, rows)
         return found

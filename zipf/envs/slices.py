@@ -141,7 +141,7 @@ class Slices(ZipfVectorEnv):
         for part in self.parts:
             part.close(**kwargs)
 
-    def _step(
+    def _step_checked(
         self,
         actions: NDArray[np.int64],
         mask: NDArray[np.bool_],

@@ -17,11 +17,15 @@ from zipf.envs.arguments import mapping, whole
 from zipf.protocol import KINDS, PAPER_KINDS
 
 
-def _read_only(values: dict[str, Any]) -> Mapping[str, Any]:
+def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
     return MappingProxyType(values)
 
 
-copyreg.pickle(MappingProxyType, lambda proxy: (_read_only, (dict(proxy),)))  # so splits can be
+def _reduced(values: MappingProxyType[Any, Any]) -> tuple[Any, ...]:
+    return _read_only, (dict(values),)
+
+
+copyreg.pickle(MappingProxyType, _reduced)  # so that splits can be pickled
 
 Level = str | Callable[..., Any]
 """A level's full name (`"gridworld/rare"`), or a function that makes a batch of its envs,

@@ -415,7 +415,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                             "observations are written to"
                         )
 
-        return self._step(actions, mask, observation, final)
+        return self._step_checked(actions, mask, observation, final)
 
     def report_achieved(self) -> None:
         """From now on the outcome of an episode has two entries more: `achieved` [N, K], the goal
@@ -522,14 +522,15 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         state.pop("observation_space", None)
         return state
 
-    def _step(
+    def _step_checked(
         self,
         actions: NDArray[np.int64],
         mask: NDArray[np.bool_],
         observation: Observation,
         final: Observation | None,
     ) -> Step:
-        """Steps the envs of `mask`, and begins episodes in the others."""
+        """`step` with arguments that were checked: steps the envs of `mask`, and begins episodes in
+        the others."""
         begins = mask is not self._everywhere
         if begins:
             self._begin_episodes(~mask, self._unforced)
