@@ -493,7 +493,7 @@ def test_what_a_run_could_not_describe_or_would_ignore_is_refused(given, told):
     [
         (
             ["processes=1"],
-            "processes=1: the envs of gridworld_demo are stepped by one thread; leave",
+            "processes=1: the envs of gridworld are stepped by one thread; leave",
         ),
         (["processes=0"], "processes=0"),
         ([LIFT, "processes=9", "collector.num_envs=4"], "processes=9: should be at most 4, the"),
