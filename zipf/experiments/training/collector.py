@@ -85,11 +85,18 @@ class Collector:
         self._abandoned = Event()
         columns = {name: like for hook in self.hooks for name, like in hook.columns.items()}
         finals, pinned = agent.needs.final_observations, self.device.startswith("cuda")
-        self._buffers = [
-            UnrollBuffers(env, unroll_length + 1, finals, columns, pinned) for _ in range(1 + lag)
-        ]
         self._final = env.allocate()
         self._final_tensors = tensors(self._final)
+        self._buffers = [
+            UnrollBuffers(
+                self._final_tensors,
+                unroll_length + 1,
+                finals=finals,
+                further=columns,
+                pinned=pinned,
+            )
+            for _ in range(1 + lag)
+        ]
         env.reset(seed=seed, out=self._buffers[-1].observation_row(-1))
         self._show(self._buffers[-1], -1, np.ones(env.num_envs, np.bool_))
 
@@ -187,8 +194,7 @@ class Collector:
             seen = changed(seen, augmentation)
         inputs = Inputs.of(seen.to(self.device, non_blocking=True))
         action, self._memory, behaviour = self.agent.act(inputs, self._memory, self._generator)
-        for name, value in behaviour.items():
-            buffers.write(name, t, value)
+        buffers.write(t, behaviour)
         fields["action"][t] = action.cpu().numpy()  # waits for the copies above, too
         acted = perf_counter()
         for hook in self.hooks:

@@ -12,19 +12,18 @@ from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDict
 from torch import Tensor
 
 from zipf.agents.agent import Agent
 from zipf.agents.capture import Captured, CudaGraph, Graph
 from zipf.agents.network import Inputs
-from zipf.agents.unroll import FINAL, STEP, Unroll
+from zipf.agents.unroll import Unroll
 from zipf.envs.tensor import Codes, Stepped, TensorEnv
 from zipf.experiments.building.checkpoint import arrays
 from zipf.experiments.hooks.hook import Hook, Row
 from zipf.experiments.hooks.tensor import Counts, View
 from zipf.experiments.hooks.visits import Visits
-from zipf.experiments.training.unroll_buffers import CARRIED
+from zipf.experiments.training.unroll_buffers import CARRIED, UnrollBuffers
 
 _OUTCOMES = ("return", "length", "success")
 
@@ -73,16 +72,21 @@ class TensorCollector:
         self.seconds = {"environment": 0.0, "inference": 0.0}
         self._captured: Captured | None = None
         env.reset(seed)
-        self._draws = any("draw" in hook.columns for hook in self.hooks)
-        self._steps = self._zeros_of_steps(unroll_length + 1)
+        slots = agent.needs.final_observations
+        self._bootstraps = not slots
+        self._buffers = UnrollBuffers(
+            env.observe(),
+            unroll_length + 1,
+            finals=slots or 1 + (unroll_length - 1) // env.max_steps,
+            further={name: like for hook in self.hooks for name, like in hook.columns.items()},
+        )
+        assert self._buffers.final is not None
+        self._final = self._buffers.final
         self._memory = agent.initial_memory(env.num_envs)
         self._before = {name: part.clone() for name, part in self._memory.items()}
         self._late = (
             {name: part.clone() for name, part in self._memory.items()} if burn_in else None
         )
-        slots = agent.needs.final_observations
-        self._bootstraps = not slots
-        self._final = self._zeros_of_finals(slots or 1 + (unroll_length - 1) // env.max_steps)
         self._final_memory = {
             name: part.new_zeros(len(self._final), *part.shape)
             for name, part in (self._memory if self._bootstraps else {}).items()
@@ -94,7 +98,7 @@ class TensorCollector:
         sizes = int(np.prod(list(self.ranks.values())))
         self.met = torch.zeros(sizes, dtype=torch.int64, device=self.device)
         self._one = torch.ones(env.num_envs, dtype=torch.int64, device=self.device)
-        self._write(self._steps["observation"], unroll_length, env.observe())
+        self._observe(unroll_length)
         self._show(unroll_length, self._one.bool())
 
     def collect(self) -> Unroll:
@@ -113,15 +117,14 @@ class TensorCollector:
 
     def tensors(self) -> list[Tensor]:
         """All that an unroll writes in place and that later ones depend on."""
-        last = {name: self._steps[name] for name in (*CARRIED, *self._columns())}
+        last = dict(self._buffers.steps["observation"].items()) | self._buffers.rows[-1]
         parts: list[dict[str, Tensor]] = [self.env.tensors(), self._memory, last]
-        parts += [dict(self._steps["observation"].items())]
         parts += [hook.tensors() for hook in self.hooks]
         return [tensor for part in parts for tensor in part.values()]
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that the next unroll depends on."""
-        inputs = {name: self._steps[name][-1].clone() for name in CARRIED}
+        inputs = {name: self._buffers.rows[-1][name].clone() for name in CARRIED}
         return {
             "environment": self.env.get_state(),
             "memory": {name: part.clone() for name, part in self._memory.items()},
@@ -147,23 +150,16 @@ class TensorCollector:
             for name, part in hook.tensors().items():
                 part.copy_(state["hooks"][hook.name][name])
         for name in CARRIED:
-            self._steps[name][-1].copy_(state["inputs"][name])
-        self._write(self._steps["observation"], self.unroll_length, self.env.observe())
+            self._buffers.rows[-1][name].copy_(state["inputs"][name])
+        self._observe(self.unroll_length)
         for hook in self.hooks:
-            hook.show(self._row(self.unroll_length))
+            hook.show(self._buffers.rows[-1])
 
     @torch.no_grad()
     def _play(self) -> Unroll:
-        steps, length = self._steps, self.unroll_length
-        for part in (
-            dict(steps["observation"].items()),
-            self._row_of((*CARRIED, *self._columns())),
-        ):
-            for rows in part.values():
-                rows[0].copy_(rows[length])
+        length = self.unroll_length
+        self._buffers.begin_after(self._buffers)
         self._copy(self._before, self._memory)
-        self._final.zero_()
-        self._final["step"].fill_(-1)
         self._cut.zero_()
         self.outcomes.zero_()
         self.met.zero_()
@@ -176,19 +172,18 @@ class TensorCollector:
         if self._bootstraps:
             self._bootstrap()
         final = None if self._bootstraps else self._final
-        unroll = Unroll(steps, self._before, self._late, final)
+        unroll = Unroll(self._buffers.steps, self._before, self._late, final)
         for hook in self.hooks:
             hook.finish(unroll)
         return unroll
 
     def _step(self, t: int) -> None:
-        row = self._row(t)
-        codes = {name: part[t] for name, part in self._steps["observation"].items()}
-        draw = row.get("draw")
+        buffers, row = self._buffers, self._buffers.rows[t]
+        codes, draw = self._codes(t), row.get("draw")
         inputs = Inputs(self.view(codes, draw), *(row[name] for name in CARRIED))
         action, memory, behaviour = self.agent.act(inputs, self._memory, self.env.generator)
         self._copy(self._memory, memory)
-        self._write(self._steps, t, {"action": action, **behaviour})
+        buffers.write(t, {"action": action, **behaviour})
         for hook in self.hooks:
             hook.act(row, self.env.generator)
         stepped = self.env.step(self.view.to_env(row["action"], draw))
@@ -198,18 +193,17 @@ class TensorCollector:
             "terminated": stepped.terminated,
             "truncated": stepped.truncated,
         }
-        self._write(self._steps, t, given)
-        following = {
+        buffers.write(t, given)
+        carried = {
             "previous_action": torch.where(ended, -1, row["action"]),
             "previous_reward": stepped.reward.masked_fill(ended, 0.0),
             "is_first": ended,
         }
-        self._write(self._steps, t + 1, following)
+        buffers.write(t + 1, carried)
+        self._observe(t + 1)
         self._record(stepped.outcome, ended)
-        following = self.env.observe()
-        self._write(self._steps["observation"], t + 1, following)
-        final, outcome = stepped.final, stepped.outcome
-        seen = Row(codes, row, stepped.reward, following, final, ended, True, outcome)
+        reward, final, outcome = stepped.reward, stepped.final, stepped.outcome
+        seen = Row(codes, row, reward, self._codes(t + 1), final, ended, True, outcome)
         for hook in self.hooks:
             hook.step(seen)
         self._show(t + 1, ended)
@@ -217,11 +211,18 @@ class TensorCollector:
 
     def _show(self, t: int, begins: Tensor) -> None:
         """Row t is there; episodes begin in it where `begins` [N]."""
-        codes = {name: part[t] for name, part in self._steps["observation"].items()}
         for hook in self.hooks:
-            hook.begin(codes, begins)
+            hook.begin(self._codes(t), begins)
         for hook in self.hooks:
-            hook.show(self._row(t))
+            hook.show(self._buffers.rows[t])
+
+    def _observe(self, t: int) -> None:
+        """Writes what the envs show to row t."""
+        self._copy(self._codes(t), self.env.observe())
+
+    def _codes(self, t: int) -> Codes:
+        """Those of row t, {name: [N, ...]}, to be read and written."""
+        return {name: part[t] for name, part in self._buffers.steps["observation"].items()}
 
     def _record(self, outcome: Codes, ended: Tensor) -> None:
         """Adds the outcomes of the episodes that ended."""
@@ -236,13 +237,13 @@ class TensorCollector:
 
     def _keep_final(self, t: int, stepped: Stepped) -> None:
         """Keeps what episodes were truncated at after row t, and the memory there."""
-        row = self._row(t)
+        row = self._buffers.rows[t]
         truncated = row["truncated"]
         given = {
             "step": torch.full_like(self._cut, t),
             "previous_action": row["action"],
             "previous_reward": stepped.reward,
-        } | ({"draw": row["draw"]} if self._draws else {})
+        } | {name: part for name, part in row.items() if name == "draw"}
         for k in range(len(self._final)):
             here = truncated & (self._cut == k)
             for part, new in ((self._final["observation"], stepped.final), (self._final, given)):
@@ -262,58 +263,12 @@ class TensorCollector:
         at = torch.arange(self.unroll_length, device=values.device).view(-1, 1, 1)
         here = at == self._final["step"]  # [T, K, N]
         found = torch.where(here, values, 0.0).sum(1)
-        self._steps["truncation_value"][:-1].copy_(found)
-
-    def _row(self, t: int) -> dict[str, Tensor]:
-        return {name: part[t] for name, part in self._steps.items() if name != "observation"}
-
-    def _row_of(self, names: Sequence[str]) -> dict[str, Tensor]:
-        return {name: self._steps[name] for name in names}
-
-    def _columns(self) -> list[str]:
-        return [name for hook in self.hooks for name in hook.columns]
+        self._buffers.steps["truncation_value"][:-1].copy_(found)
 
     @staticmethod
     def _copy(target: dict[str, Tensor], source: dict[str, Tensor]) -> None:
         for name, part in target.items():
             part.copy_(source[name])
-
-    def _write(self, target: Any, t: int, given: dict[str, Tensor]) -> None:
-        """Writes row t; what the behaviour policy adds gets its place when it is first there."""
-        for name, value in given.items():
-            if name not in target.keys():
-                rows = target.batch_size[0]
-                target[name] = torch.zeros(
-                    rows, *value.shape, dtype=value.dtype, device=value.device
-                )
-            target[name][t].copy_(value)
-
-    def _zeros_of_steps(self, rows: int) -> TensorDict:
-        shape = rows, self.env.num_envs
-        further = {name: like for hook in self.hooks for name, like in hook.columns.items()}
-        like = STEP | {"bonus": torch.float32, "truncation_value": torch.float32}
-        steps = {name: self._zeros(shape, dtype) for name, dtype in like.items()}
-        steps |= {name: self._zeros((*shape, *p.shape), p.dtype) for name, p in further.items()}
-        steps["previous_action"].fill_(-1)
-        steps["is_first"].fill_(True)
-        observation = self._zeros_of_observations(rows)
-        return TensorDict({**steps, "observation": observation}, shape)
-
-    def _zeros_of_finals(self, count: int) -> TensorDict:
-        shape = count, self.env.num_envs
-        final: dict[str, Any] = {name: self._zeros(shape, dtype) for name, dtype in FINAL.items()}
-        if self._draws:
-            final["draw"] = self._zeros((*shape, self.view.size), torch.float64)
-        final["observation"] = self._zeros_of_observations(count)
-        return TensorDict(final, shape)
-
-    def _zeros_of_observations(self, rows: int) -> TensorDict:
-        codes = self.env.observe()
-        zeros = {k: self._zeros((rows, *part.shape), part.dtype) for k, part in codes.items()}
-        return TensorDict(zeros, (rows, self.env.num_envs))
-
-    def _zeros(self, shape: Sequence[int], dtype: torch.dtype) -> Tensor:
-        return torch.zeros(*shape, dtype=dtype, device=self.device)
 
 
 class Tally:
