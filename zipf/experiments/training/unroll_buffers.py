@@ -61,6 +61,8 @@ class UnrollBuffers:
         names = [*fields, *further]
         self.inputs = self.steps.select("observation", *CARRIED, *({"draw"} & further.keys()))
         self.rows = [{name: self.steps[name][t] for name in names} for t in range(rows)]
+        shown = dict(self.steps["observation"].items())
+        self._shown = [{name: part[t] for name, part in shown.items()} for t in range(rows)]
         if self._device.type == "cpu":
             self.observation = {k: v.numpy() for k, v in self.steps["observation"].items()}
             self.fields = {name: self.steps[name].numpy() for name in names}
@@ -75,8 +77,12 @@ class UnrollBuffers:
         zeros = torch.zeros(*shape, dtype=like.dtype, device=self._device)
         return zeros.pin_memory() if self._pinned else zeros
 
+    def shown(self, t: int) -> dict[str, Tensor]:
+        """The observations of row t, {name: [N, ...]}, to be read and written."""
+        return self._shown[t]
+
     def observation_row(self, t: int) -> dict[str, NDArray]:
-        """The observations of row t, {name: [N, ...]}, to be written to."""
+        """The same on the host, as arrays."""
         return {name: part[t] for name, part in self.observation.items()}
 
     def begin_after(self, other: UnrollBuffers) -> None:
