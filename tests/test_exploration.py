@@ -36,12 +36,10 @@ def test_the_bonus_equals_counting_visits():
         mask = rng.random(8) < 0.7
         result = bonus({"image": image, "instruction": instruction}, mask)
         assert result.dtype == torch.float32
-        for i in range(8):
-            expected = 0.0
-            if mask[i]:
-                key = image[i].tobytes(), instruction[i].tobytes()
-                visits[key] += 1
-                expected = 0.3 / np.sqrt(visits[key])
+        keys = [(image[i].tobytes(), instruction[i].tobytes()) for i in range(8)]
+        visits.update(key for key, chosen in zip(keys, mask, strict=True) if chosen)
+        for i in range(8):  # all are counted before any is paid for
+            expected = 0.3 / np.sqrt(visits[keys[i]]) if mask[i] else 0.0
             np.testing.assert_allclose(result[i], expected, rtol=1e-6)
     assert max(visits.values()) > 3
 
