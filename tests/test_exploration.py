@@ -21,7 +21,7 @@ from zipf.experiments.hooks.exploration import (
     FirstVisitBonus,
     FirstVisitOptions,
 )
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 
 OPTIONS = CountOptions(name="count", scale=0.3, table_size=2**20)
 FIRST_VISIT = FirstVisitOptions(name="first_visit", scale=0.25)
@@ -36,12 +36,10 @@ def test_the_bonus_equals_counting_visits():
         mask = rng.random(8) < 0.7
         result = bonus({"image": image, "instruction": instruction}, mask)
         assert result.dtype == torch.float32
-        for i in range(8):
-            expected = 0.0
-            if mask[i]:
-                key = image[i].tobytes(), instruction[i].tobytes()
-                visits[key] += 1
-                expected = 0.3 / np.sqrt(visits[key])
+        keys = [(image[i].tobytes(), instruction[i].tobytes()) for i in range(8)]
+        visits.update(key for key, chosen in zip(keys, mask, strict=True) if chosen)
+        for i in range(8):  # all are counted before any is paid for
+            expected = 0.3 / np.sqrt(visits[keys[i]]) if mask[i] else 0.0
             np.testing.assert_allclose(result[i], expected, rtol=1e-6)
     assert max(visits.values()) > 3
 
@@ -169,7 +167,7 @@ def explore(exploration, seed, learns=True):
         torch.nn.init.zeros_(parameter)  # it begins with random actions
     bonus = exploration and bonuses.BONUSES.build(exploration, spaces[0], seed)
     hooks = [] if bonus is None else [bonus]
-    collector = Collector(env, agent, unroll_length=20, seed=seed, hooks=hooks)
+    collector = HostCollector(env, agent, unroll_length=20, seed=seed, hooks=hooks)
     for _ in range(60):
         unroll = collector.collect()
         if learns:

@@ -415,3 +415,14 @@ def test_parts_that_do_not_divide_are_named(chosen, said, tmp_path):
     finished = call(*DEVICE, *chosen.split(), f"run_root={tmp_path}")
     assert finished.returncode != 0
     assert said in finished.stderr
+
+
+def test_more_than_the_device_holds_is_refused_before_anything_is_built(tmp_path):
+    given = [*DEVICE, "collector.num_envs=100000000", f"run_root={tmp_path}"]
+    finished = call(*given)
+    assert finished.returncode != 0
+    assert "unrolls and the images of an update take" in finished.stderr
+    # Codes of as many fit, and the images of a part of them.
+    parts = ["collector.num_envs=100000", "collector.envs_per_update=100", "updates=4000"]
+    parts += ["evaluation.every=1000", "schedule.checkpoint_every=1000", f"run_root={tmp_path}"]
+    assert loading.load([*DEVICE, *parts]).updates_per_unroll == 1000

@@ -328,6 +328,8 @@ class R2D2(Learner):
 
     def _seen(self, items: TensorDict) -> TensorDict:
         """Sequences [B] as the agent sees them, where it computes."""
+        if self._sees_on_device:
+            items = items.to(self.device)
         if self.augmentation is not None:
             items = items.clone(recurse=False)
             for name in {"steps", "final"} & set(items.keys()):
@@ -337,6 +339,8 @@ class R2D2(Learner):
     @torch.no_grad()
     def _advance(self, steps: TensorDict, memory: State) -> State:
         """The memory after steps [rows, E], from that before them."""
+        if self._sees_on_device:
+            steps = steps.to(self.device)
         if self.augmentation is not None:
             steps = changed(steps, self.augmentation)
         with self.autocast():

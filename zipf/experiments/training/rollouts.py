@@ -28,7 +28,8 @@ from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
 from zipf.experiments.building.checkpoint import arrays
 from zipf.experiments.hooks.visits import Visits
-from zipf.experiments.training.collector import Collector, episode_metrics
+from zipf.experiments.training.clock import DeviceClock
+from zipf.experiments.training.host_collector import HostCollector, episode_metrics
 from zipf.experiments.training.tensor_collector import Tally, TensorCollector
 
 Learned = TypeVar("Learned")
@@ -86,7 +87,7 @@ class SynchronousRollouts:
 
     collector: Any
 
-    def __init__(self, collector: Collector | TensorCollector, parts: int = 1):
+    def __init__(self, collector: HostCollector | TensorCollector, parts: int = 1):
         self.collector = collector
         self.parts = parts
         self.updates = 0  # made since the run began, where there are parts
@@ -132,7 +133,7 @@ class SynchronousRollouts:
         return self.collector.collect()
 
     def metrics(self) -> dict[str, float]:
-        """See `Collector.episode_metrics`."""
+        """See `HostCollector.episode_metrics`."""
         return self.collector.episode_metrics()
 
     def state_dict(self) -> dict[str, Any]:
@@ -164,7 +165,7 @@ class BackgroundRollouts(SynchronousRollouts):
         agent: acts in the second thread and learns in the calling one.
     """
 
-    def __init__(self, collector: Collector, agent: Learner, parts: int = 1):
+    def __init__(self, collector: HostCollector, agent: Learner, parts: int = 1):
         super().__init__(collector, parts)
         self.agent = agent
         agent.separate_acting()
@@ -221,7 +222,7 @@ class BackgroundRollouts(SynchronousRollouts):
         self._collecting = self._thread.submit(self._collect)
 
     def metrics(self) -> dict[str, float]:
-        """As `Collector.episode_metrics`, of the unrolls that were learned from since the last
+        """As `HostCollector.episode_metrics`, of the unrolls that were learned from since the last
         call."""
         metrics = episode_metrics(self._episodes)
         self._episodes.clear()
@@ -270,6 +271,9 @@ class TensorRollouts(SynchronousRollouts):
 
     With lag 1 an unroll is played before the one before it is learned from, so that updates learn
     from what they would learn from with `BackgroundRollouts`.
+
+    Attributes:
+        clock: of a CUDA device, which works on while the host goes on; else None.
     """
 
     collector: TensorCollector
@@ -277,6 +281,7 @@ class TensorRollouts(SynchronousRollouts):
     def __init__(self, collector: TensorCollector, parts: int = 1, lag: int = 0):
         super().__init__(collector, parts)
         self.lag = lag
+        self.clock = DeviceClock() if collector.device.startswith("cuda") else None
         self._tally = Tally(collector)
         self._pending: tuple[Unroll, Tensor, Tensor] | None = None  # collected, not learned from
 
@@ -286,7 +291,15 @@ class TensorRollouts(SynchronousRollouts):
         return self._tally.visits
 
     def _next(self) -> Unroll:
+        if self.clock is not None:
+            with self.clock.part("inference"):
+                return self._next_unroll()
         start = perf_counter()
+        unroll = self._next_unroll()
+        self.collector.seconds["inference"] += perf_counter() - start
+        return unroll
+
+    def _next_unroll(self) -> Unroll:
         if self.lag == 0:
             unroll = self.collector.collect()
             outcomes, met = self.collector.outcomes, self.collector.met
@@ -294,7 +307,6 @@ class TensorRollouts(SynchronousRollouts):
             unroll, outcomes, met = self._pending or self._collected()
             self._pending = self._collected()
         self._tally.add(outcomes, met)
-        self.collector.seconds["inference"] += perf_counter() - start
         return unroll
 
     def _collected(self) -> tuple[Unroll, Tensor, Tensor]:

@@ -37,7 +37,7 @@ from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options.schema import Config, has_bfloat16
 from zipf.experiments.training import pretrained
 from zipf.experiments.training.allocator import keep_freed_ram
-from zipf.experiments.training.clock import Clock
+from zipf.experiments.training.clock import Clock, DeviceClock
 from zipf.experiments.training.display import Display
 from zipf.experiments.training.logger import Logger
 from zipf.experiments.training.rollouts import TensorRollouts
@@ -307,6 +307,10 @@ class Run:
         if isinstance(self.env, ZipfVectorEnv):
             self.env.close()
 
+    @property
+    def _device_clock(self) -> DeviceClock | None:
+        return self.rollouts.clock if isinstance(self.rollouts, TensorRollouts) else None
+
     def may_stop(self, requested: int) -> int:
         """The number of the signal that asks a learner to stop; 0 while there is none, or updates
         of an unroll are left."""
@@ -319,18 +323,21 @@ class Run:
         """
         with self.clock.train():
             unroll, metrics = self.rollouts.step(self._learn)
-        self.update += 1
+            self.update += 1
+            if self._device_clock and self.update % self.config.schedule.log_every == 0:
+                self.clock.move(self._device_clock.read())
         return unroll, metrics
 
     def _learn(self, unroll: Unroll) -> Mapping[str, float | Tensor]:
-        with self._errors_of_learning(f"at update {self.update + 1}"), self.clock.part("learning"):
+        clock = self._device_clock or self.clock
+        with self._errors_of_learning(f"at update {self.update + 1}"), clock.part("learning"):
             if self.config.learning_rate_decay:
                 assert isinstance(self.agent, Learner)
                 self.agent.scale_learning_rates(self.config.learning_rate_factor(self.update))
             metrics = self.agent.update(unroll)
-            if self.device.startswith("cuda"):  # to measure the time, and because the unroll
-                torch.cuda.synchronize(self.device)  # is overwritten by the next
-            return metrics
+            if self.device.startswith("cuda") and not self._device_clock:
+                torch.cuda.synchronize(self.device)  # to measure the time, and because the unroll
+            return metrics  # is overwritten by the next
 
     def _check_finite(self) -> None:
         """Ends the run where captured updates have diverged, which alone do not end it at once."""
