@@ -11,6 +11,7 @@ from networks import compact
 from tensordict import TensorDict
 from test_hindsight import OPTIONS as HINDSIGHT
 from test_impala import OPTIONS as IMPALA
+from test_ppo import OPTIONS as PPO
 from test_vmpo import OPTIONS as VMPO
 from torch._subclasses.fake_tensor import DataDependentOutputException, DynamicOutputShapeException
 
@@ -22,7 +23,7 @@ from zipf.agents.vmpo import vmpo_losses
 
 ACTIONS, STEPS, BATCH, LENGTH, EPISODES = 3, 5, 4, 6, 3
 MLP = MLPOptions(name="mlp", size=16, layers=2)
-AGENTS = {"impala": IMPALA, "vmpo": VMPO}
+AGENTS = {"impala": IMPALA, "ppo": PPO.model_copy(update={"minibatches": 2}), "vmpo": VMPO}
 
 # PyTorch's copies of tensors without numbers ask for their address.
 pytestmark = pytest.mark.filterwarnings("ignore:Accessing the data pointer of FakeTensor")
@@ -67,12 +68,24 @@ def unroll_of(agent):
 
 
 @pytest.mark.parametrize("choices", [{}, {"weighted": True, "hindsight": HINDSIGHT}])
-@pytest.mark.parametrize("name", AGENTS)
+@pytest.mark.parametrize("name", ["impala", "vmpo"])
 def test_actor_critics_learn(name, choices):
     with fake_cuda():
         agent = make(name, **choices)
         data = unroll_of(agent)
         with capture_safe():
+            loss, metrics, _ = agent.loss(data)
+            backward(loss)
+        assert all(parameter.grad is not None for parameter in agent.learned)
+        assert {metric.device.type for metric in metrics.values()} == {"cuda"}
+
+
+def test_ppo_learns():
+    with fake_cuda():
+        agent = make("ppo", weighted=True)
+        data = unroll_of(agent)
+        with capture_safe():
+            data.steps["old_value"], data.steps["advantage"] = agent.estimates(data)
             loss, metrics, _ = agent.loss(data)
             backward(loss)
         assert all(parameter.grad is not None for parameter in agent.learned)

@@ -395,12 +395,12 @@ def test_what_cannot_be_is_refused_in_a_line(overrides, told, tmp_path):
 def test_ppo_learns_a_tiny_gridworld(seed):
     options = OPTIONS.model_copy(
         update={
-            "learning_rate": 2e-3,
+            "learning_rate": 1e-3,
             "discount": 0.95,
             "gae_lambda": 0.95,
             "minibatches": 4,
             "baseline_cost": 0.5,
-            "entropy_cost": 0.01,
+            "entropy_cost": 0.03,
         }
     )
     network = compact(channels=16, size=64)

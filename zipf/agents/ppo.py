@@ -12,9 +12,9 @@ memory reads from what it was before the unroll. On the frames of its minibatch 
 where r = pi(a|x) / mu(a|x), eps is `clip_ratio`, and A' are the minibatch's advantages less their
 mean, divided by their standard deviation; each frame's terms times its weight if it has one, plus
 the auxiliary loss (`zipf.agents.auxiliary`). With `clip_value` delta the value's loss is the larger
-of that of V and of V_old + clip(V - V_old, -delta, delta), as in OpenAI's Baselines. With a critic
-that learns a distribution (`zipf.agents.critics`) its loss against G takes the place of
-(G - V)^2 / 2, and its risk measure that of V.
+of that of V and of V_old + clip(V - V_old, -delta, delta), as in OpenAI's Baselines
+(Dhariwal et al. 2017). With a critic that learns a distribution (`zipf.agents.critics`) its loss
+against G takes the place of (G - V)^2 / 2, and its risk measure that of V.
 
 Counts of updates, such as `updates`, `evaluation.every` and `learning_rate_decay`, are of unrolls:
 rates fall from update to update, and are the same for all steps of one. What is saved as the
