@@ -20,6 +20,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -37,43 +38,56 @@ ROWS = {
     "R2D2, LSTM": "experiment=gridworld_compact condition=r2d2 memory=lstm",
     "gridworld, ResNet, LSTM": "experiment=gridworld condition=impala",
     "the same, 1,024 envs": (
-        "experiment=gridworld condition=impala collector.num_envs=1024 "
-        "collector.envs_per_update=32"
+        "experiment=gridworld condition=impala collector.num_envs=1024 collector.envs_per_update=32"
     ),
     "playroom_lift_compact": "experiment=playroom_lift_compact condition=impala",
     "labyrinth_compact": "experiment=labyrinth_compact condition=impala",
     "playroom_lift": "experiment=playroom_lift condition=impala",
 }
 LAUNCHED = ("collector.envs=host", "capture=false")
+MEASURED = "--measured"  # what a row's process is started with, and begins its line with
 NEW = ("collector.envs", "capture=")  # options that older checkouts lack
 
-TRAIN = """
-import json, sys, time
-began = time.perf_counter()
-import torch
-from zipf.experiments.building import loading, run_folder
-from zipf.experiments.training.allocator import keep_freed_ram
-from zipf.experiments.training.runner import Run
-seconds, overrides = float(sys.argv[1]), sys.argv[2:]
-keep_freed_ram()
-config = loading.load(overrides)
-run_folder.make(config.folder)
-wait = torch.cuda.synchronize if config.torch_device.startswith("cuda") else lambda: None
-with Run(config) as run:
-    run.step(); wait()
-    first = time.perf_counter() - began
-    settled = time.perf_counter() + seconds / 4
-    while time.perf_counter() < settled:
+
+def train(seconds: float, overrides: list[str]) -> None:
+    """In a row's process: trains, and prints what it measured. Of zipf it uses what older checkouts
+    have, too."""
+    began = time.perf_counter()
+    from zipf.experiments.building import loading, run_folder
+    from zipf.experiments.training.allocator import keep_freed_ram
+    from zipf.experiments.training.runner import Run
+
+    keep_freed_ram()
+    config = loading.load(overrides)
+    run_folder.make(config.folder)
+    parts = getattr(config, "updates_per_unroll", 1)
+
+    def wait() -> None:
+        if config.torch_device.startswith("cuda"):
+            import torch
+
+            torch.cuda.synchronize()
+
+    with Run(config) as run:
         run.step()
-    wait()
-    start, updates = time.perf_counter(), run.update
-    while time.perf_counter() - start < seconds:
-        for _ in range(getattr(config, "updates_per_unroll", 1)):
-            run.step()
         wait()
-    speed = (run.update - updates) * run.frames_per_update / (time.perf_counter() - start)
-print("measured", json.dumps({"speed": speed, "first": first, "device": str(run.device)}))
-"""
+        first = time.perf_counter() - began
+        for _ in range(parts - 1):
+            run.step()
+        settled = time.perf_counter() + seconds / 4
+        while time.perf_counter() < settled:
+            for _ in range(parts):
+                run.step()
+        wait()
+        start, updates = time.perf_counter(), run.update
+        while time.perf_counter() - start < seconds:
+            for _ in range(parts):
+                run.step()
+            wait()
+        frames = (run.update - updates) * run.frames_per_update
+        speed = frames / (time.perf_counter() - start)
+        device = str(run.device)
+    print(MEASURED, json.dumps({"speed": speed, "first": first, "device": device}), flush=True)
 
 
 def measure(checkout: Path, overrides: list[str], seconds: float) -> dict[str, float | str]:
@@ -85,15 +99,15 @@ def measure(checkout: Path, overrides: list[str], seconds: float) -> dict[str, f
             given[-3:] = ["updates=1024000000", "schedule.checkpoint_every=1024000"]
             given += ["evaluation.every=1024000"]
         finished = subprocess.run(
-            [sys.executable, "-c", TRAIN, str(seconds), *given],
+            [sys.executable, __file__, MEASURED, str(seconds), *given],
             env=os.environ | {"PYTHONPATH": str(checkout)},
             capture_output=True,
             text=True,
             check=False,
         )
     for line in finished.stdout.splitlines():
-        if line.startswith("measured "):
-            return json.loads(line.removeprefix("measured "))
+        if line.startswith(MEASURED):
+            return json.loads(line.removeprefix(MEASURED))
     errors = finished.stderr.strip().splitlines()
     return {"error": errors[-1][:160] if errors else f"ended with {finished.returncode}"}
 
@@ -137,4 +151,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:2] == [MEASURED]:
+        train(float(sys.argv[2]), sys.argv[3:])
+    else:
+        main()

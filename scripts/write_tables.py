@@ -18,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import agent_tables
+import device_table
 import family_tables
 import tail_table
 from tables import code, markdown
@@ -143,6 +144,7 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "labyrinth_baselines": family_tables.labyrinth_baselines,
     "groups": agent_tables.groups,
     "parts": agent_tables.parts,
+    "device": device_table.device,
     "splits": splits,
     "experiments": experiments,
     "conditions": conditions,

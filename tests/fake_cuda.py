@@ -36,20 +36,31 @@ class HostTensor(AssertionError):
     """A tensor of the host among what is to be captured."""
 
 
-class DeviceGenerator(torch.Generator):
-    """A generator that says it is the device's. What it draws here is never looked at."""
+class Generator(torch.Generator):
+    """A generator that says it is a device's. What it draws here is never looked at."""
 
-    device = torch.device(DEVICE)
+    def __new__(cls, device: torch.device | str = "cpu") -> Generator:
+        return super().__new__(cls)
+
+    def __init__(self, device: torch.device | str = "cpu"):
+        self._device = torch.device(device)
+
+    @property
+    def device(self) -> torch.device:  # type: ignore[override]
+        return self._device
 
 
 @contextmanager
 def fake_cuda() -> Iterator[None]:
-    """Within, tensors can be made on `DEVICE`, modules moved there, and gradients computed by
-    `backward`; autocast computes in bfloat16, as on the device."""
+    """Within, tensors and generators can be made on `DEVICE`, modules moved there, and gradients
+    computed by `backward`; autocast computes in bfloat16, as on the device."""
     with (
         _guard_of_cuda(),
         mock.patch("torch.amp.autocast_mode.torch.cuda.is_bf16_supported", return_value=True),
         mock.patch("torch.cuda.amp.common.amp_definitely_not_available", return_value=False),
+        mock.patch("torch._meta_registrations.rnn_cell_checkSizes", _check_cell),
+        mock.patch.object(torch, "Generator", Generator),
+        mock.patch.object(FakeTensorMode, "__deepcopy__", lambda mode, _: mode, create=True),
         mock.patch.object(nn.Module, "to", _moved),
         FakeTensorMode(),
     ):
@@ -71,6 +82,7 @@ def on_device(value: Any) -> Any:
     )
 
 
+@torch.no_grad()
 def backward(loss: Tensor) -> None:
     """`loss.backward()` where autograd's own engine would ask the device for its streams."""
     order, seen = [], set()
@@ -121,11 +133,27 @@ class _OnDevice(TorchDispatchMode):
         self, function: Any, types: Any, args: Any = (), kwargs: Any = None
     ) -> Any:
         kwargs = kwargs or {}
-        result = function(*args, **kwargs)
+        result = SHAPES.get(function, function)(*args, **kwargs)
         for part in tree_leaves((args, kwargs, result)):
             if isinstance(part, Tensor) and part.device.type != "cuda":
                 raise HostTensor(f"{function}: a tensor {list(part.shape)} of the host")
         return result
+
+
+def _gru_cell(gates: Tensor, _: Tensor, hidden: Tensor, *biases: Tensor) -> tuple[Tensor, ...]:
+    return torch.empty_like(hidden), hidden.new_empty(len(hidden), 5 * hidden.shape[1])
+
+
+def _gru_cell_backward(gradient: Tensor, workspace: Tensor, has_bias: bool) -> tuple[Tensor, ...]:
+    batch, size = gradient.shape
+    gates, biases = [(batch, 3 * size)] * 2, [(3 * size,)] * 2
+    return tuple(gradient.new_empty(shape) for shape in (*gates, (batch, size), *biases))
+
+
+SHAPES = {  # of operations for which PyTorch has none
+    torch.ops.aten._thnn_fused_gru_cell.default: _gru_cell,
+    torch.ops.aten._thnn_fused_gru_cell_backward.default: _gru_cell_backward,
+}
 
 
 @contextmanager
@@ -145,9 +173,19 @@ def _guard_of_cuda() -> Iterator[None]:
         guards[1] = None
 
 
-def _moved(module: nn.Module, device: Any) -> nn.Module:
-    """`nn.Module.to`, which cannot replace parameters without numbers."""
-    for part in module.modules():
+def _check_cell(
+    gates: Tensor, recurrent: Tensor, bias: None, other: None, factor: int, cell: Tensor
+) -> None:
+    """What an LSTM's fused cell reads; PyTorch's own check forgets that it may have no bias."""
+    assert gates.shape == recurrent.shape == (len(cell), factor * cell.shape[1])
+    assert gates.dtype == recurrent.dtype == cell.dtype == torch.float32
+    assert bias is other is None
+
+
+def _moved(module: nn.Module, device: Any = None, memory_format: Any = None) -> nn.Module:
+    """`nn.Module.to`, which cannot replace parameters without numbers; their order in memory stays
+    as it is."""
+    for part in module.modules() if device is not None else ():
         for name, parameter in part._parameters.items():
             if parameter is not None:
                 moved = parameter.detach().to(device)

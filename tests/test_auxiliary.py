@@ -383,11 +383,11 @@ def test_the_target_is_a_moving_average(rate):
 
 
 def test_the_mean_image_is_that_of_the_first_update():
-    actor, loss_of = build(VISION)
+    _, loss_of = build(VISION)
     loss_of(inputs(0), cores())
     first = loss_of.mean_image.clone()
     assert first.shape == (27, 18, 3)
-    loss_of.after_update(actor.encoder)
+    loss_of.count(1)
     loss_of(inputs(1), cores())
     assert torch.equal(loss_of.mean_image, first)
 
@@ -431,7 +431,7 @@ def test_an_image_is_shifted_and_its_cue_is_not():
 def test_a_random_fraction_of_the_frames_is_used():
     """Other frames every update, and the same ones in a resumed run."""
     half = VISION.model_copy(update={"fraction": 0.5})
-    actor, loss_of = build(half)
+    _, loss_of = build(half)
     data, core = inputs(), cores().requires_grad_()
 
     def frames_read(module):
@@ -443,7 +443,7 @@ def test_a_random_fraction_of_the_frames_is_used():
     assert first.sum() == STEPS * BATCH / 2
     assert not first[STEPS].any()
     assert torch.equal(frames_read(loss_of), first)
-    loss_of.after_update(actor.encoder)
+    loss_of.count(1)
     second = frames_read(loss_of)
     assert not torch.equal(second, first)
     _, again = build(half)
@@ -457,12 +457,12 @@ def test_a_random_fraction_of_the_frames_is_used():
 
 
 def test_targets_are_shifted_anew_every_update():
-    actor, loss_of = build(HORIZON.model_copy(update={"shift": 4, "unshifted": 9}))
+    _, loss_of = build(HORIZON.model_copy(update={"shift": 4, "unshifted": 9}))
     data = inputs()
     before = {name: part.clone() for name, part in data.observation.items()}
     first = loss_of.targets(data, loss_of.generator())
     assert torch.equal(loss_of.targets(data, loss_of.generator()), first)
-    loss_of.after_update(actor.encoder)
+    loss_of.count(1)
     assert not torch.equal(loss_of.targets(data, loss_of.generator()), first)
     for name, part in data.observation.items():
         assert torch.equal(part, before[name])
@@ -755,6 +755,7 @@ def learn(actor, loss_of, batches, learning_rate=3e-3):
         loss.backward()
         optimiser.step()
         loss_of.after_update(actor.encoder)
+        loss_of.count(loss_of.updates + 1)
         logged.append({name: metric.item() for name, metric in metrics.items()})
     return logged
 

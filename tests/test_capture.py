@@ -1,24 +1,37 @@
 """Captured agents against the same agents uncaptured, bit for bit; a tape takes a graph's place."""
 
 from copy import deepcopy
+from functools import partialmethod
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from conftest import assert_equal, random_unroll
+import torch.nn.functional as F
+from conftest import TINY, assert_equal, learned, random_unroll, slow_but
 from networks import compact
 from tape import Tape
+from test_auxiliary import HORIZON, VISION
+from test_hindsight import OPTIONS as HINDSIGHT
+from test_hindsight import episodes_of
 from test_impala import OPTIONS
+from test_r2d2 import agent as r2d2_agent
+from test_r2d2 import unrolls as r2d2_unrolls
+from test_vmpo import OPTIONS as VMPO_OPTIONS
 
-from zipf.agents import learner
+from zipf.agents import fixed, learner
 from zipf.agents.agent import AgentSpec
+from zipf.agents.auxiliary import Auxiliary
 from zipf.agents.capture import Captured, CaptureFailed
 from zipf.agents.impala import Impala
-from zipf.agents.learner import Loss
+from zipf.agents.learner import Learner, Loss
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.unroll import Unroll
+from zipf.agents.vmpo import VMPO
+from zipf.errors import UserError
+from zipf.experiments.building import checkpoint, loading
+from zipf.experiments.training import runner
 
 ACTIONS, STEPS, BATCH = 3, 6, 4
 MEMORIES = {
@@ -27,9 +40,9 @@ MEMORIES = {
 }
 
 
-def build(memory="mlp", captured=False, device="cpu", agent=Impala, **parts):
+def build(memory="mlp", captured=False, agent=Impala, options=OPTIONS, **parts):
     made = agent(
-        OPTIONS.model_copy(update={"max_gradient_norm": 0.1}),
+        options.model_copy(update={"max_gradient_norm": 0.1}),
         AgentSpec(
             gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)),
             gym.spaces.Discrete(ACTIONS),
@@ -37,7 +50,6 @@ def build(memory="mlp", captured=False, device="cpu", agent=Impala, **parts):
             MEMORIES[memory],
             num_envs=BATCH,
             unroll_length=STEPS,
-            device=device,
             **parts,
         ),
     )
@@ -66,9 +78,7 @@ def numbers(metrics):
 
 
 def saved(agent):
-    state = deepcopy(agent.state_dict())
-    del state["auxiliary"]["_extra_state"]
-    return state
+    return deepcopy(agent.state_dict())
 
 
 def learn_alike(one, other, seeds, **kinds):
@@ -85,6 +95,79 @@ def test_captured_updates_equal_others(memory, weighted):
     eager, captured = build(memory), build(memory, captured=True)
     learn_alike(eager, captured, range(10), **kinds)
     assert eager.updates_made == captured.updates == captured.updates_made == 10
+
+
+def lasting(auxiliary):
+    """The generator as it is on a device: always the same."""
+    if auxiliary._generator is None:
+        auxiliary._generator = torch.Generator().manual_seed(auxiliary.seed + auxiliary.updates)
+    return auxiliary._generator
+
+
+def one_hot(index, size):
+    """As on CUDA: on a CPU PyTorch's reads the largest index on the host."""
+    return (index.unsqueeze(-1) == torch.arange(size)).long()
+
+
+@pytest.mark.parametrize(
+    "auxiliary",
+    [
+        VISION.model_copy(update={"fraction": 0.5}),
+        HORIZON.model_copy(update={"fraction": 0.5, "shift": 2, "unshifted": 3}),
+    ],
+    ids=lambda options: options.name,
+)
+def test_captured_updates_draw_what_others_draw(auxiliary, monkeypatch):
+    """From the first update, and in a run that goes on."""
+    monkeypatch.setattr(Auxiliary, "generator", lasting)
+    monkeypatch.setattr(Auxiliary, "generators", lambda one: [lasting(one)])
+    monkeypatch.setattr(fixed, "shapes", lambda tensor: True)
+    monkeypatch.setattr(F, "one_hot", one_hot)
+    eager, captured = (build("lstm", one, auxiliary=auxiliary) for one in (False, True))
+    learn_alike(eager, captured, range(5), memory="lstm")
+    resumed = build("lstm", captured=True, auxiliary=auxiliary)
+    resumed.load_state_dict(saved(eager))
+    learn_alike(eager, resumed, range(5, 8), memory="lstm")
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_vmpo_is_captured(weighted, monkeypatch):
+    """Its target follows every second update, and its duals have an optimiser of their own."""
+    monkeypatch.setattr(fixed, "shapes", lambda tensor: True)
+    options = VMPO_OPTIONS.model_copy(update={"target_period": 2})
+    kinds = {"agent": VMPO, "options": options, "weighted": weighted}
+    eager, captured = (build("lstm", one, **kinds) for one in (False, True))
+    for seed in range(7):
+        learn_alike(eager, captured, [seed], memory="lstm", weighted=weighted)
+        one, other = (acted(agent, agent.initial_memory(BATCH), 1) for agent in (eager, captured))
+        assert_equal(one, other)
+
+
+def test_costs_fade_in_what_is_captured():
+    """Up to how their factor is rounded."""
+    options = HINDSIGHT.model_copy(update={"fade": 4})
+    eager, captured = (build("mlp", one, hindsight=options) for one in (False, True))
+    for seed in range(6):
+        metrics = []
+        for agent in (eager, captured):
+            data = unroll(seed)
+            data.episodes = episodes_of([2, 4], actions=ACTIONS)
+            metrics.append(numbers(agent.update(data)))
+        assert metrics[0] == pytest.approx(metrics[1], rel=1e-5, nan_ok=True)
+
+
+def test_r2d2_is_captured(monkeypatch):
+    """With sequences from its replay, whose priorities follow from what the loss keeps."""
+    monkeypatch.setattr(fixed, "shapes", lambda tensor: True)
+    eager, captured = (r2d2_agent(target_period=2) for _ in range(2))
+    captured.capture(Tape)
+    steps = 0
+    for one, other in zip(r2d2_unrolls(8), r2d2_unrolls(8), strict=True):
+        metrics = [numbers(agent.update(data)) for agent, data in ((eager, one), (captured, other))]
+        np.testing.assert_equal(*metrics)
+        steps += np.isfinite(metrics[0]["loss"])
+    assert steps > 3
+    assert_equal(saved(eager), saved(captured))
 
 
 def test_heads_are_what_they_are_in_bfloat16():
@@ -151,7 +234,8 @@ def test_divergence_changes_nothing_until_it_is_reported(what, first):
         captured.update(unroll(5))
     after = saved(captured)
     assert captured.updates_made == first
-    assert after.pop("updates") == before.pop("updates") + 2
+    for name in ("updates", "auxiliary"):  # what the host counts
+        assert after.pop(name) != before.pop(name)
     if not first:  # the optimiser has a state now, of zeros
         state = after["optimiser"].pop("state")
         assert all((part == 0).all() for one in state.values() for part in one.values())
@@ -375,3 +459,40 @@ def test_unrolls_are_nests():
     assert isinstance(sums.inputs[0], Unroll)
     with pytest.raises(TypeError, match="0 is a float: expected tensors"):
         Captured(lambda one: one, Tape(), list, name="a number")(1.0)
+
+
+# Runs
+
+
+def train(root, *options, captured=True):
+    """Trains with captured updates; returns the folder."""
+    config = loading.load([*TINY, "name=one", f"run_root={root}", *options])
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(runner, "captures", lambda config: captured)
+        patched.setattr(Learner, "capture", partialmethod(Learner.capture, Tape))
+        # Batches of other sizes are summed up in another order.
+        patched.setattr(Learner, "filled_up", lambda agent, inputs, memory: (inputs, memory))
+        assert runner.train(config) == 0
+    return config.folder
+
+
+@pytest.mark.parametrize("every", ["schedule.log_every", "schedule.checkpoint_every"])
+def test_a_run_that_diverges_ends_before_that_is_logged_or_saved(every, tmp_path):
+    never = ["schedule.log_every=100", "schedule.checkpoint_every=100"]
+    options = [*never, f"{every}=3", "updates=4", "agent.learning_rate=1e30"]
+    with pytest.raises(UserError, match=r"learning diverged by update 3 \(the .* is \w+\)"):
+        train(tmp_path, *options)
+    (saved,) = tmp_path.rglob("checkpoint.pt")
+    assert checkpoint.load(saved)["update"] == 0
+
+
+@pytest.mark.parametrize("lag", slow_but([0, 1], 0))
+def test_a_captured_run_goes_on_as_another(lag, tmp_path):
+    """With a learning rate that falls, whichever of both is captured."""
+    options = ["agent=impala", "learning_rate_decay=[1,6]", f"collector.lag={lag}"]
+    whole = learned(train(tmp_path / "whole", *options, "updates=4", captured=False))
+    for first in (False, True):
+        root = tmp_path / str(first)
+        train(root, *options, "updates=2", captured=first)
+        both = learned(train(root, *options, "updates=4", captured=not first))
+        assert_equal(both, whole)

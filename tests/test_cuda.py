@@ -1,4 +1,4 @@
-"""On CUDA: conditions and agents train, with and without lag, and runs go on on another device."""
+"""On CUDA: conditions and agents train, captured and not, and runs go on on another device."""
 
 import numpy as np
 import pandas as pd
@@ -7,7 +7,9 @@ import torch
 from conftest import TINY, assert_equal, metrics_of
 from envs_of import cheapest_pairs
 
+from zipf import envs
 from zipf.agents import agents
+from zipf.envs.testing import check_tensor_env
 from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.training import runner
 
@@ -106,9 +108,9 @@ def test_conditions_train_and_are_scored(cuda, experiment, condition, tmp_path):
 @pytest.mark.parametrize("begins_there", [True, False])
 def test_a_run_goes_on_on_another_device(cuda, begins_there, agent, lag, tmp_path):
     """With the weights, envs and random numbers that it had; as it would have gone on, up to how
-    each device rounds."""
+    each device rounds. Envs that are stepped on the device begin anew, see below."""
     first, then = (cuda, "cpu") if begins_there else ("cpu", cuda)
-    chosen = [f"collector.lag={lag}", "agent.learning_rate=1e-5"]
+    chosen = [f"collector.lag={lag}", "agent.learning_rate=1e-5", "collector.envs=host"]
     folder = run(tmp_path, agent, "updates=2", f"device={first}", *chosen)
     before = state(folder)
     run(tmp_path, agent, "updates=2", f"device={then}", "resume=must", *chosen)
@@ -126,3 +128,60 @@ def on_cpu(value):
     if isinstance(value, dict):
         return {name: on_cpu(part) for name, part in value.items()}
     return value.cpu() if isinstance(value, torch.Tensor) else value
+
+
+CAPTURED = [
+    ("impala", "memory=mlp", "exploration=count"),
+    ("impala", "memory=lstm", "augmentation=random", "hindsight=achieved"),
+    ("impala", "memory=lstm", "auxiliary=vision"),
+    ("impala", "memory=lstm", "auxiliary=byol"),
+    ("impala", "memory=gtrxl", "memory.memory_length=4", "memory.heads=2", "memory.layers=1"),
+    ("impala", "memory=lstm", "collector.envs_per_update=3"),
+    ("vmpo", "memory=lstm"),
+    ("r2d2", "memory=lstm"),
+]
+
+
+@on_cuda
+@pytest.mark.parametrize("where", ["device", "host"])
+@pytest.mark.parametrize("chosen", CAPTURED, ids="-".join)
+def test_a_captured_run_is_one_that_is_not(cuda, chosen, where, tmp_path):
+    """From update 0, and after it has been resumed, bit for bit."""
+    if where == "host" and "hindsight=achieved" in chosen:
+        pytest.skip("episodes of the host have other shapes in every unroll")
+    agent, *others = chosen
+    common = [f"device={cuda}", f"collector.envs={where}", "deterministic=true", *others]
+    common += ["collector.num_envs=6", "evaluation.every=4", "schedule.checkpoint_every=4"]
+    folders = []
+    for capture in ("true", "false"):
+        for updates in (4, 8):
+            given = [*common, f"capture={capture}", f"updates={updates}"]
+            folders.append(run(tmp_path / capture, agent, *given))
+    captured, eager = (state(folder) for folder in (folders[1], folders[3]))
+    for part in ("agent", "source"):
+        assert_equal(on_cpu(captured[part]), on_cpu(eager[part]), part)
+
+
+@on_cuda
+def test_a_run_goes_on_on_the_device_with_new_episodes(cuda, tmp_path, capsys):
+    """Its weights, visits and counts are kept, and it says so."""
+    folder = run(tmp_path, "impala", "exploration=count", "updates=2", "device=cpu")
+    before = state(folder)
+    run(tmp_path, "impala", "exploration=count", "updates=2", f"device={cuda}", "resume=must")
+    assert_equal(on_cpu(before["agent"]), on_cpu(state(folder)["agent"]))
+    capsys.readouterr()
+    run(tmp_path, "impala", "exploration=count", "updates=4", f"device={cuda}", "resume=must")
+    shown = capsys.readouterr()
+    assert "envs are stepped on the device now" in shown.out + shown.err
+
+
+@on_cuda
+@pytest.mark.parametrize("options", [{}, {"observation": "tiles"}, {"max_steps": 3}])
+def test_tensor_envs_on_cuda_play_what_the_batch_plays(cuda, options):
+    batch = envs.make_vec("gridworld/zipf_2", 64, **options)
+    tensors = envs.make_tensor("gridworld/zipf_2", 64, cuda, **options)
+    more = {
+        "goal": envs.goal("gridworld/zipf_2", batch),
+        "symmetries": envs.symmetries(envs.split("gridworld"), batch),
+    }
+    check_tensor_env(tensors, batch, **more)

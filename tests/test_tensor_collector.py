@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import torch
 from conftest import assert_equal, call, metrics_of
+from fake_cuda import DEVICE as FAKE
+from fake_cuda import backward, capture_safe, fake_cuda
 from host_env import Host
 from tape import Tape
 
@@ -15,6 +17,7 @@ from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.hooks.augmentation import RandomAugmentation
 from zipf.experiments.hooks.tensor import View
+from zipf.experiments.options import schema
 from zipf.experiments.training import runner
 from zipf.experiments.training.build_collector import build_collector, build_tensor_collector
 from zipf.experiments.training.rollouts import (
@@ -314,6 +317,34 @@ def test_captured_unrolls_are_those_of_the_function(chosen):
     assert captured._captured.graph.replays == 6
 
 
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        ("memory=mlp", "exploration=count", "collector.reward_clipping=soft_asymmetric"),
+        ("memory=lstm", "augmentation=random", "hindsight=achieved", "network=comparing"),
+        ("memory=gtrxl", "memory.memory_length=4", "memory.heads=2", "memory.layers=1"),
+        ("agent=vmpo", "collector.bootstrap_at_time_limit=false"),
+        ("agent=impala", "auxiliary=vision"),
+        ("agent=r2d2", "agent.burn_in=2", "augmentation=random"),
+    ],
+    ids=lambda chosen: "-".join(chosen)[:40],
+)
+def test_unrolls_and_losses_never_wait_for_the_device(chosen, monkeypatch):
+    """On a device that there is not, where reading a number, a shape that depends on numbers, and a
+    tensor of the host are errors."""
+    config = loading.load([*TINY, *chosen])
+    monkeypatch.setattr(schema, "find_device", lambda _: FAKE)
+    with fake_cuda():
+        env = envs.make_tensor(config.split, ENVS, FAKE, **SMALL)
+        agent = build_agent(config, env)
+        collector = build_tensor_collector(config, env, agent)
+        with capture_safe():
+            unroll = collector._play()
+            if config.agent.name != "r2d2":  # whose loss reads what replay holds
+                backward(agent.loss(agent.seen(unroll)).loss)
+    assert unroll.steps.batch_size == (STEPS + 1, ENVS)
+
+
 DEVICE = [*TINY, "collector.envs=device", "device=cpu", "evaluation.episodes=2", "updates=4",
           "schedule.log_every=1", "schedule.checkpoint_every=2"]  # fmt: skip
 
@@ -384,3 +415,14 @@ def test_parts_that_do_not_divide_are_named(chosen, said, tmp_path):
     finished = call(*DEVICE, *chosen.split(), f"run_root={tmp_path}")
     assert finished.returncode != 0
     assert said in finished.stderr
+
+
+def test_more_than_the_device_holds_is_refused_before_anything_is_built(tmp_path):
+    given = [*DEVICE, "collector.num_envs=100000000", f"run_root={tmp_path}"]
+    finished = call(*given)
+    assert finished.returncode != 0
+    assert "unrolls and the images of an update take" in finished.stderr
+    # Codes of as many fit, and the images of a part of them.
+    parts = ["collector.num_envs=100000", "collector.envs_per_update=100", "updates=4000"]
+    parts += ["evaluation.every=1000", "schedule.checkpoint_every=1000", f"run_root={tmp_path}"]
+    assert loading.load([*DEVICE, *parts]).updates_per_unroll == 1000

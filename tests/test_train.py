@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import itertools
+import os
 import re
 import shlex
 import shutil
@@ -665,6 +666,46 @@ def test_two_processes_do_not_train_in_one_folder(trained):
 def test_divergence_is_an_error_and_the_checkpoint_is_kept(trained):
     with pytest.raises(UserError, match="diverged"):
         runner.train(loading.load([*trained, "seed=1", "agent.learning_rate=1e30"]))
+
+
+WORKSPACE = "CUBLAS_WORKSPACE_CONFIG"
+
+
+@pytest.fixture
+def kernels(monkeypatch):
+    """A function that chooses kernels as a run on this device does, with CUDA started or not;
+    returns PyTorch's two flags and cuBLAS's variable."""
+    monkeypatch.delenv(WORKSPACE, raising=False)
+    monkeypatch.setattr(torch.backends.cudnn, "benchmark", True)
+
+    def choose(device, deterministic=True, started=False):
+        monkeypatch.setattr(torch.cuda, "is_initialized", lambda: started)
+        runner._choose_kernels(SimpleNamespace(deterministic=deterministic, torch_device=device))
+        flags = torch.are_deterministic_algorithms_enabled(), torch.backends.cudnn.benchmark
+        return *flags, os.environ.get(WORKSPACE)
+
+    yield choose
+    torch.use_deterministic_algorithms(False)
+
+
+def test_deterministic_kernels_are_chosen_on_cuda_alone(kernels):
+    assert kernels("cpu") == (False, True, None)
+    assert kernels("cuda", deterministic=False) == (False, True, None)
+    assert kernels("cuda:1") == (True, False, ":4096:8")
+    assert kernels("cuda:1", started=True) == (True, False, ":4096:8")
+    assert kernels("cuda", deterministic=False) == (False, False, ":4096:8")
+
+
+@pytest.mark.parametrize(("value", "started"), [(None, True), (":0:0", False)])
+def test_deterministic_kernels_that_come_too_late_are_refused(value, started, kernels, monkeypatch):
+    if value:
+        monkeypatch.setenv(WORKSPACE, value)
+    with pytest.raises(UserError, match=f"{WORKSPACE} is {value}; should be :4096:8 or :16:8"):
+        kernels("cuda", started=started)
+
+
+def test_a_run_goes_on_with_or_without_deterministic_kernels(trained):
+    assert runner.train(loading.load([*trained, "updates=3", "deterministic=true"])) == 0
 
 
 compiler = pytest.mark.skipif(shutil.which("c++") is None, reason="torch.compile calls a compiler")

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from zipf.agents.capture import is_recording
+
 
 def shapes(tensor: Tensor) -> bool:
     """Whether what is computed from this tensor has to have fixed shapes."""
-    return tensor.device.type != "cpu"
+    return is_recording() or tensor.device.type != "cpu"

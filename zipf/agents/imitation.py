@@ -67,6 +67,7 @@ class Imitation(Learner):
     """The agent: samples actions from its policy in training, and learns its teacher's."""
 
     Options = ImitationOptions
+    captures = True
     supports = frozenset({"auxiliary", "episodic", "hindsight", "reweighting"})
     largest_lag = 1  # labels do not depend on the weights that acted
     options: ImitationOptions

@@ -220,6 +220,7 @@ class Learner(Agent):
             average_gradients(_parameters(self.optimisers.values()))
             norm = step()
             self.updates += 1
+        self.after_update()
         return {"loss": loss.loss, "gradient_norm": norm, **loss.metrics}, loss.kept
 
     @property
@@ -245,14 +246,20 @@ class Learner(Agent):
         self.parts |= {name: CapturedOptimiser(one) for name, one in self.optimisers.items()}
         self._new_graph = graph
         backward = Captured(
-            self._backward, graph(self.device), self._tensors, name="the loss of an update"
-        )
-        step = Captured(
-            lambda: self._step(*backward.outputs),
+            self._backward,
             graph(self.device),
             self._tensors,
-            name="the step of an update",
+            generators=self.auxiliary.generators(),
+            name="the loss of an update",
         )
+
+        def follow() -> Tensor:
+            batch, loss = backward.outputs
+            norm = self._descend(loss.loss)
+            self.after_step(batch, loss.kept)
+            return norm
+
+        step = Captured(follow, graph(self.device), self._tensors, name="the step of an update")
         self._captured = backward, step
 
     def _tensors(self) -> list[Tensor]:
@@ -278,11 +285,6 @@ class Learner(Agent):
         kept = {name: tensor.detach() for name, tensor in kept.items()}
         return batch, Loss(loss.detach(), metrics, kept)
 
-    def _step(self, batch: Any, loss: Loss) -> Tensor:
-        norm = self._descend(loss.loss)
-        self.after_step(batch, loss.kept)
-        return norm
-
     def _descend(self, loss: Tensor) -> Tensor:
         """One step of all optimisers; returns the norm of the gradients of `learned`."""
         norm = nn.utils.clip_grad_norm_(self.learned, self.options.max_gradient_norm)
@@ -301,11 +303,17 @@ class Learner(Agent):
         return norm
 
     def after_step(self, batch: Any, kept: dict[str, Tensor]) -> None:
-        """Follows an optimiser step: the targets of the auxiliary loss, and the dictionary, whose
-        rows are made of the memory's outputs `core` [T + 1, B, size] and of `action` [T + 1, B]."""
+        """Follows an optimiser step, and is captured with it: the targets of the auxiliary loss,
+        and the dictionary, whose rows are made of the memory's outputs `core` [T + 1, B, size] and
+        of `action` [T + 1, B]."""
         self.auxiliary.after_update(self.network.encoder)
         if "episodic" in self.supports:
             self.recorder.record(self.network.dictionary, batch.steps, kept["core"], kept["action"])
+
+    def after_update(self) -> None:
+        """Follows an update on the host and is never captured: what is done every so many `updates`
+        is done here."""
+        self.auxiliary.count(self.updates)
 
     def state_dict(self) -> dict[str, Any]:
         return {name: part.state_dict() for name, part in self.parts.items()} | {

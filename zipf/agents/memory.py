@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Literal, Protocol
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from zipf.agents.gtrxl import GTrXLMemory, GTrXLOptions
@@ -99,7 +100,19 @@ class LSTMMemory(nn.Module):
         return state
 
     def forward(self, inputs: Tensor, is_first: Tensor, state: State) -> tuple[Tensor, State]:
-        hidden, cell = state["hidden"], state["cell"]
+        unroll = self.unroll_fused if inputs.device.type == "cuda" else self.unroll
+        outputs, hidden, cell = unroll(inputs, is_first, state["hidden"], state["cell"])
+        after = {"hidden": hidden.float(), "cell": cell.float()}
+        if self.above is None:
+            return outputs, after
+        states = {k.removeprefix("above."): v for k, v in state.items() if k.startswith("above.")}
+        outputs, states = self.above(outputs, is_first, states)
+        return outputs, after | {f"above.{name}": v for name, v in states.items()}
+
+    def unroll(
+        self, inputs: Tensor, is_first: Tensor, hidden: Tensor, cell: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """This layer's outputs [T, B, size], and `hidden` and `cell` after the last frame."""
         rows = []
         for gates, begins in zip(self.input_gates(inputs), is_first.unsqueeze(-1), strict=True):
             hidden = hidden.masked_fill(begins, 0.0)
@@ -108,12 +121,25 @@ class LSTMMemory(nn.Module):
             cell = forget.sigmoid() * cell + enter.sigmoid() * candidate.tanh()
             hidden = leave.sigmoid() * cell.tanh()
             rows.append(hidden)
-        outputs, after = torch.stack(rows), {"hidden": hidden.float(), "cell": cell.float()}
-        if self.above is None:
-            return outputs, after
-        states = {k.removeprefix("above."): v for k, v in state.items() if k.startswith("above.")}
-        outputs, states = self.above(outputs, is_first, states)
-        return outputs, after | {f"above.{name}": v for name, v in states.items()}
+        return torch.stack(rows), hidden, cell
+
+    def unroll_fused(
+        self, inputs: Tensor, is_first: Tensor, hidden: Tensor, cell: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """The same on CUDA, where one kernel computes all between the sum of the gates and the
+        outputs. It reads and writes one dtype: float32, which the cell needs. Under autocast only
+        the products are in bfloat16, and the recurrent weights are cast once."""
+        gates = self.input_gates(inputs)
+        weight = self.recurrent_gates.weight.to(gates.dtype)
+        rows = []
+        with torch.autocast(inputs.device.type, enabled=False):
+            for row, begins in zip(gates.float(), is_first.unsqueeze(-1), strict=True):
+                hidden = hidden.masked_fill(begins, 0.0)
+                cell = cell.masked_fill(begins, 0.0)
+                recurrent = F.linear(hidden.to(weight.dtype), weight).float()
+                hidden, cell, _ = torch.ops.aten._thnn_fused_lstm_cell(row, recurrent, cell)
+                rows.append(hidden)
+        return torch.stack(rows), hidden, cell
 
 
 MEMORIES: Registry[Memory] = Registry("memory")

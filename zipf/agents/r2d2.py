@@ -206,6 +206,7 @@ class R2D2(Learner):
             # At random, since several levels have a row of envs each, and should explore alike.
             places = torch.randperm(self.num_envs, generator=torch.Generator().manual_seed(0))
             self.epsilon **= 1 + LADDER * places / (self.num_envs - 1)
+        self.epsilon = self.epsilon.to(self.device)
         self._inserts = spec.num_envs  # sequences of an update, at most
         if isinstance(spec.hindsight, AchievedOptions) and spec.hindsight.length:
             cuts = -(-spec.hindsight.length // spec.unroll_length)
@@ -228,7 +229,6 @@ class R2D2(Learner):
         decay = self.options.weight_decay
         return torch.optim.AdamW(parameters, **adam(self.options), weight_decay=decay)
 
-    @torch.no_grad()
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
@@ -236,15 +236,18 @@ class R2D2(Learner):
         with probability `epsilon`, or with the ladder (Horgan et al. 2018) epsilon^(1 + 7 k /
         (num_envs - 1)), k a place of its own in 0 .. num_envs - 1.
 
-        The generator is the CPU's whatever the device, so that a run can move between devices.
+        What is random is drawn on the generator's device.
         """
-        with self.autocast():
-            q, memory = self.actor(inputs.unsqueeze(), memory)
+        q, memory = self.forward_actor(inputs.unsqueeze(), memory)
         action = q[0].argmax(-1)
         if training:
-            explores = torch.rand(len(action), generator=generator) < self.epsilon
-            anything = torch.randint(self.network.actions, action.shape, generator=generator)
-            action = torch.where(explores.to(action.device), anything.to(action.device), action)
+            device = generator.device
+            chance = torch.rand(len(action), generator=generator, device=device)
+            anything = torch.randint(
+                self.network.actions, action.shape, generator=generator, device=device
+            )
+            explores = chance.to(action.device) < self.epsilon
+            action = torch.where(explores, anything.to(action.device), action)
         return action, memory, {}
 
     def begin_learning(self, folder: Path | None = None, every: int = 0) -> list[str]:
@@ -276,7 +279,7 @@ class R2D2(Learner):
             f"learning begins with {o.replay_min} sequences",
         ]
 
-    def update(self, unroll: Unroll) -> dict[str, float]:
+    def update(self, unroll: Unroll) -> dict[str, float | Tensor]:
         """Puts an unroll into replay and takes one optimiser step on a batch from there.
 
         Returns the loss and other metrics; all but those of the replay are NaN where no step was
@@ -285,11 +288,13 @@ class R2D2(Learner):
         """
         assert self.replay is not None, "begin_learning() comes first"
         inserted = self._insert(unroll)
-        metrics = dict.fromkeys(METRICS, float("nan"))
+        metrics: dict[str, float | Tensor] = dict.fromkeys(METRICS, float("nan"))
         if len(self.replay) >= self.options.replay_min:
             items, index, weights = self.replay.sample(self.batch_size)
             replayed = Replayed(self._seen(items), weights.to(self.device))
-            metrics, kept = self.learn(replayed)
+            learned, kept = self.learn(replayed)
+            self.check_finite()  # the priorities are waited for anyway
+            metrics |= learned
             self.replay.update_priorities(index, kept["priorities"].cpu())
         return metrics | {"replay_sequences": len(self.replay), "replay_inserted": inserted}
 
@@ -323,6 +328,8 @@ class R2D2(Learner):
 
     def _seen(self, items: TensorDict) -> TensorDict:
         """Sequences [B] as the agent sees them, where it computes."""
+        if self._sees_on_device:
+            items = items.to(self.device)
         if self.augmentation is not None:
             items = items.clone(recurse=False)
             for name in {"steps", "final"} & set(items.keys()):
@@ -332,6 +339,8 @@ class R2D2(Learner):
     @torch.no_grad()
     def _advance(self, steps: TensorDict, memory: State) -> State:
         """The memory after steps [rows, E], from that before them."""
+        if self._sees_on_device:
+            steps = steps.to(self.device)
         if self.augmentation is not None:
             steps = changed(steps, self.augmentation)
         with self.autocast():
@@ -353,8 +362,9 @@ class R2D2(Learner):
         }
         return Loss(loss, metrics, {"priorities": priorities})
 
-    def after_step(self, batch: Any, kept: dict[str, Tensor]) -> None:
-        super().after_step(batch, kept)
+    def after_update(self) -> None:
+        """Lets the target network follow."""
+        super().after_update()
         if self.updates % self.options.target_period == 0:
             self.target.load_state_dict(self.network.state_dict())
 

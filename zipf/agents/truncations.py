@@ -6,6 +6,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from zipf.agents import fixed
 from zipf.agents.network import Inputs
 
 
@@ -15,10 +16,15 @@ class Finals:
 
     Each stands behind the row before the cut, where the memory is that of its episode; the row
     behind it begins another episode, and nothing of it remains.
+
+    In fixed shapes (`zipf.agents.fixed`) there are K of these rows whatever is in use, else as many
+    as the env that has most of them uses; below K stands for either.
     """
 
     def __init__(self, final: TensorDict, rows: int):
-        most = int((final["step"] >= 0).sum(0).max())  # those not in use are the last
+        most = len(final)
+        if not fixed.shapes(final["step"]):
+            most = int((final["step"] >= 0).sum(0).max())  # those not in use are the last
         self.final = final[:most]
         self.step = step = self.final["step"]  # [K, B]
         self.used = step >= 0
@@ -56,11 +62,10 @@ class Finals:
     def by_step(self, values: Tensor) -> tuple[Tensor, Tensor]:
         """From values [T + 1 + K, B]: after which steps there was an observation, bool [T, B], and
         its value there, else 0, [T, B]."""
-        steps = len(self.rows) - 1
-        known = torch.zeros(steps, len(self.envs), dtype=torch.bool, device=values.device)
-        found = values.new_zeros(steps, len(self.envs))
-        k, env = self.used.nonzero(as_tuple=True)
-        step = self.step[k, env]
-        known[step, env] = True
-        found[step, env] = values[self.places[k, env], env]
-        return known, found
+        steps, batch = len(self.rows) - 1, len(self.envs)
+        at = torch.where(self.used, self.step, steps)  # those not in use: a row that is dropped
+        known = torch.zeros(steps + 1, batch, dtype=torch.bool, device=values.device)
+        found = values.new_zeros(steps + 1, batch)
+        known.scatter_(0, at, self.used)
+        found.scatter_(0, at, values[self.places, self.envs])
+        return known[:-1], found[:-1]

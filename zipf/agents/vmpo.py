@@ -90,22 +90,20 @@ class VMPO(Learner):
     def make_network(self) -> ActorCritic:
         return ActorCritic(*self.spec.torso, self.spec.critic)
 
-    @torch.no_grad()
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
         """Samples an action of the target policy, in training and evaluation alike; its `logits`
         float32 [B, actions] are for `update`."""
-        with self.autocast():
-            outputs = self.actor(inputs.unsqueeze(), memory)
+        outputs = self.forward_actor(inputs.unsqueeze(), memory)
         logits = outputs.logits[0]
         return sampled(logits, generator), outputs.state, {"logits": logits}
 
-    @torch.no_grad()
     def value(self, inputs: Inputs, memory: State) -> Tensor:
         """The target network's V, float32 [B]; the memory is the target's."""
-        with self.autocast():
-            return self.actor(inputs.unsqueeze(), memory).value[0]
+        envs = len(inputs.is_first)
+        inputs, memory = self.filled_up(inputs, memory)
+        return self.forward_actor(inputs.unsqueeze(), memory).value[0, :envs]
 
     def loss(self, unroll: Unroll) -> Loss:
         o = self.options
@@ -144,7 +142,7 @@ class VMPO(Learner):
             unroll.episodes,
             self.spec.hindsight,
             discount=o.discount,
-            updates=self.updates,
+            updates=self.progress,
             precision=self.precision,
         )
         loss = losses.policy + losses.eta + losses.alpha + baseline_loss + auxiliary_loss
@@ -171,10 +169,10 @@ class VMPO(Learner):
         with torch.no_grad():
             for dual in self.duals.parameters():
                 dual.clamp_(min=SMALLEST_DUAL)
-        self.after_update()
 
     def after_update(self) -> None:
-        """Lets the target network follow; on the host, where updates are counted."""
+        """Lets the target network follow."""
+        super().after_update()
         if self.updates % self.options.target_period == 0:
             self.target.load_state_dict(self.network.state_dict())
 

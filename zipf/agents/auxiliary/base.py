@@ -46,14 +46,15 @@ NO_AUXILIARY = NoAuxiliaryOptions(name="none")
 class Auxiliary(nn.Module):
     """The base of all auxiliary losses; its own loss is 0.
 
-    What an update draws at random follows from `seed` and the number of updates before it, which is
-    in `state_dict()`: a resumed run draws what the uninterrupted one draws.
+    What an update draws at random follows from `seed`, the number of updates before it, which is in
+    `state_dict()`, and the kind of device: a resumed run draws what the uninterrupted one draws.
     """
 
     def __init__(self, seed: int):
         super().__init__()
         self.seed = seed
         self.updates = 0
+        self._generator: torch.Generator | None = None  # on a device other than the CPU
 
     def forward(self, inputs: Inputs, core: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """The weighted loss of an unroll, float32 [], and metrics to log, [] each.
@@ -72,12 +73,30 @@ class Auxiliary(nn.Module):
         return
 
     def after_update(self, encoder: Encoder) -> None:
-        """Follows an optimiser step that changed the agent's encoder."""
-        self.updates += 1
+        """Follows an optimiser step that changed the agent's encoder; `count` comes after it."""
+        return
+
+    def count(self, updates: int) -> None:
+        """So many updates were made. On the host, and never captured."""
+        self.updates = updates
+        for generator in self.generators():
+            generator.manual_seed(self.seed + updates)
 
     def generator(self) -> torch.Generator:
-        """Of this update's draws; on the CPU, so that a run can move between devices."""
-        return torch.Generator().manual_seed(self.seed + self.updates)
+        """Of this update's draws, on the device of the parameters; to be called once an update."""
+        device = next(self.parameters()).device
+        if device.type == "cpu":
+            return torch.Generator().manual_seed(self.seed + self.updates)
+        if self._generator is None:
+            self._generator = torch.Generator(device)
+            self._generator.manual_seed(self.seed + self.updates)
+        return self._generator
+
+    def generators(self) -> list[torch.Generator]:
+        """Those that updates draw from on a device other than the CPU, always the same objects: a
+        CUDA graph has to know them. `count` seeds them for the next update."""
+        parameter = next(self.parameters(), None)
+        return [] if parameter is None or parameter.device.type == "cpu" else [self.generator()]
 
     def get_extra_state(self) -> int:
         """The part of `state_dict()` that is no tensor."""
@@ -85,12 +104,13 @@ class Auxiliary(nn.Module):
 
     def set_extra_state(self, state: int) -> None:
         """Continues from `get_extra_state()`."""
-        self.updates = state
+        self.count(state)
 
 
 def sample(n: int, fraction: float, generator: torch.Generator) -> Tensor:
-    """That fraction of 0 .. n - 1, at least one, in random order."""
-    return torch.randperm(n, generator=generator)[: max(1, round(fraction * n))]
+    """That fraction of 0 .. n - 1, at least one, in random order, on the generator's device."""
+    order = torch.randperm(n, generator=generator, device=generator.device)
+    return order[: max(1, round(fraction * n))]
 
 
 AUXILIARIES: Registry[Auxiliary] = Registry("auxiliary")

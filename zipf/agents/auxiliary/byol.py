@@ -111,7 +111,7 @@ class BYOL(Auxiliary):
         """
         generator = self.generator()
         if self.options.fraction < 1:
-            envs = sample(core.shape[1], self.options.fraction, generator).to(core.device)
+            envs = sample(core.shape[1], self.options.fraction, generator)
             core = core[:, envs]
             inputs = Inputs(
                 {name: part[:, envs] for name, part in inputs.observation.items()},
@@ -140,7 +140,8 @@ class BYOL(Auxiliary):
             yield 0, self.forward_map(core[1:]), self.targeted(inputs)
             return
         # The action between two rows of an episode; -1, no action, where an episode begins.
-        actions = F.one_hot(inputs.previous_action[1:] + 1, self.actions + 1)[..., 1:]
+        every = torch.arange(self.actions, device=core.device)
+        actions = (inputs.previous_action[1:].unsqueeze(-1) == every).to(torch.int64)
         same_episode = torch.ones_like(inputs.is_first)
         for k, features in enumerate(self.forward_map(core[:-1], actions.to(core.dtype)), start=1):
             same_episode = same_episode[:-1] & ~inputs.is_first[k:]
@@ -171,7 +172,6 @@ class BYOL(Auxiliary):
     @torch.no_grad()
     def after_update(self, encoder: Encoder) -> None:
         """Moves the target networks: target <- rate * target + (1 - rate) * online."""
-        super().after_update(encoder)
         pairs = (self.target_encoder, encoder), (self.target_projector, self.projector)
         for target, online in pairs:
             for old, new in zip(target.parameters(), online.parameters(), strict=True):
@@ -265,7 +265,7 @@ def random_shift(image: Tensor, most: int, unshifted: int, generator: torch.Gene
     padded[:, inner_rows, most + width :] = image[:, :, -1:]
     padded[:, :most] = padded[:, most : most + 1]
     padded[:, most + height :] = padded[:, most + height - 1 : most + height]
-    down, right = torch.randint(0, 2 * most + 1, (2, n), generator=generator).to(device)
+    down, right = torch.randint(0, 2 * most + 1, (2, n), generator=generator, device=device)
     # All shifts of an image as views of it: choosing one copies whole rows.
     one, row, column, channel = padded.stride()
     views = padded.as_strided(

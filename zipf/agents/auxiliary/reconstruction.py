@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from zipf.agents import fixed
 from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, Fraction, sample
 from zipf.agents.averaging import average
 from zipf.agents.encoders import has_image, is_text, vocabulary
@@ -68,6 +69,7 @@ class Reconstruction(Auxiliary):
     """
 
     mean_image: Tensor
+    is_first: Tensor  # bool [], of the next update
 
     def __init__(
         self,
@@ -85,6 +87,7 @@ class Reconstruction(Auxiliary):
             assert shape is not None
             self.image = build_image_decoder(core_size, shape, network)
             self.register_buffer("mean_image", torch.zeros(shape))  # as logits
+            self.register_buffer("is_first", torch.tensor(True), persistent=False)
         if not isinstance(options, VisionOptions):
             self.instruction = InstructionDecoder(core_size, vocabulary(space["instruction"]))
 
@@ -94,17 +97,18 @@ class Reconstruction(Auxiliary):
         frames = {name: part[:-1].flatten(0, 1) for name, part in inputs.observation.items()}
         core = core[:-1].flatten(0, 1)
         if o.fraction < 1:
-            rows = sample(len(core), o.fraction, self.generator()).to(core.device)
+            rows = sample(len(core), o.fraction, self.generator())
             core = core[rows]
             frames = {name: part[rows] for name, part in frames.items()}
 
         losses, metrics = [], {}
         if not isinstance(o, LanguageOptions):
             assert self.image is not None
-            if self.updates == 0:
+            if self.updates == 0 or fixed.shapes(core):  # a graph is the same for all updates
                 mean = average(frames["image"].float().mean(0) / 255.0)
                 # Finite where pixels are always black or white.
-                self.mean_image = mean.logit(eps=0.01)
+                mean = torch.where(self.is_first, mean.logit(eps=0.01), self.mean_image)
+                self.mean_image.copy_(mean)
             vision = image_cross_entropy(self.mean_image + self.image(core), frames["image"])
             losses.append(o.vision_weight * vision)
             metrics["auxiliary_vision"] = vision.detach()
@@ -115,6 +119,11 @@ class Reconstruction(Auxiliary):
             losses.append(o.language_weight * language)
             metrics["auxiliary_language"] = language.detach()
         return torch.stack(losses).sum(), metrics
+
+    def count(self, updates: int) -> None:
+        super().count(updates)
+        if self.image is not None:
+            self.is_first.fill_(updates == 0)
 
 
 def image_cross_entropy(logits: Tensor, image: Tensor) -> Tensor:

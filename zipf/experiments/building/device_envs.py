@@ -11,7 +11,7 @@ from zipf.agents.hindsight import AchievedOptions
 from zipf.experiments.hooks.augmentation import RandomAugmentationOptions
 from zipf.experiments.hooks.exploration import CountOptions
 from zipf.experiments.hooks.tensor import host_alone
-from zipf.experiments.options.runtime import RayOptions
+from zipf.experiments.options.runtime import RayOptions, TorchrunOptions
 from zipf.experiments.options.schema import Config
 
 
@@ -25,11 +25,11 @@ def on_device(config: Config) -> bool:
 
 def only_on_the_host(config: Config) -> Iterator[str]:
     """The options that take host environments, such as `exploration=rnd`."""
-    if not envs.has_tensor(config.split):
+    if not envs.has_tensor(envs.split(config.environment.split)):
         yield f"environment.split={config.environment.split}"
     if isinstance(config.runtime, RayOptions):
         yield "runtime=ray"
-    if not agents()[config.agent.name].captures:
+    if not agents()[config.agent.name].captures or hasattr(config.agent, "teacher"):
         yield f"agent={config.agent.name}"
     if not isinstance(config.exploration, CountOptions) and config.exploration.name != "none":
         yield f"exploration={config.exploration.name}"
@@ -66,3 +66,5 @@ def not_captured(config: Config) -> Iterator[str]:
         yield f"hindsight={config.hindsight.name}"
     if config.episodic != NO_EPISODIC:
         yield f"episodic={config.episodic.name}"
+    if isinstance(config.runtime, TorchrunOptions) and "vision" in config.auxiliary.name:
+        yield f"auxiliary={config.auxiliary.name}"  # averages over learners inside its loss

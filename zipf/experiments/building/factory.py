@@ -69,10 +69,8 @@ def build_agent(config: Config, env: ZipfVectorEnv | TensorEnv) -> Agent:
 
 def _space(env: TensorEnv) -> gym.spaces.Dict:
     """The codes of one env."""
-    shown = {name: part[0].cpu().numpy() for name, part in env.observe().items()}
-    return gym.spaces.Dict(
-        {
-            name: gym.spaces.Box(0, np.iinfo(part.dtype).max, part.shape, part.dtype.type)
-            for name, part in shown.items()
-        }
-    )
+    space: dict[str, gym.Space] = {}
+    for name, part in env.observe().items():
+        dtype = np.dtype(str(part.dtype).removeprefix("torch."))
+        space[name] = gym.spaces.Box(0, np.iinfo(dtype).max, part.shape[1:], dtype.type)
+    return gym.spaces.Dict(space)

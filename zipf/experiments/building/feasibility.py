@@ -20,7 +20,7 @@ from zipf.agents.network import ActorCritic
 from zipf.agents.network_options import MatchingOptions
 from zipf.errors import UserError
 from zipf.experiments.building import run_folder
-from zipf.experiments.building.device_envs import only_on_the_host
+from zipf.experiments.building.device_envs import on_device, only_on_the_host
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.options.runtime import RayOptions, TorchrunOptions, has_ray
 from zipf.experiments.options.schema import Config, PretrainedOptions, find_device
@@ -350,16 +350,9 @@ def _left_random(config: Config, agent: Agent) -> Iterator[str]:
 
 def _lacking_ram(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
     """What does not fit into RAM, by arithmetic: nothing is allocated."""
-    collector, evaluation = config.collector, config.evaluation
-    frames = (collector.unroll_length + 1) * (1 + config.lag)
+    evaluation = config.evaluation
     problems = [
-        _too_large(
-            f"collector.num_envs={collector.num_envs}, "
-            f"collector.unroll_length={collector.unroll_length}",
-            "the envs of an unroll",
-            collector.num_envs,
-            frames * _frame_bytes(config),
-        ),
+        _too_many_on_device(config) if on_device(config) else _too_many_in_ram(config),
         too_many_envs(config, evaluation.num_envs, evaluation.episodes, "evaluation.num_envs"),
     ]
     yield from filter(None, problems)
@@ -383,6 +376,38 @@ def _lacking_ram(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
             f"memory.size={config.memory.size}: the weights of such a network, their gradients and "
             f"the optimiser take {in_words(size)}, and {in_words(free)} of RAM are free"
         )
+
+
+def _too_many_in_ram(config: Config) -> str | None:
+    collector = config.collector
+    frames = (collector.unroll_length + 1) * (1 + config.lag)
+    options = (
+        f"collector.num_envs={collector.num_envs}, "
+        f"collector.unroll_length={collector.unroll_length}"
+    )
+    what = "the envs of an unroll"
+    return _too_large(options, what, collector.num_envs, frames * _frame_bytes(config))
+
+
+def _too_many_on_device(config: Config) -> str | None:
+    """Codes of the unrolls, and the images of an update as its network reads them."""
+    collector, device = config.collector, config.torch_device
+    rows = collector.unroll_length + 1
+    env = envs.make_tensor(config.split, 1, "cpu", **config.level_options)
+    env.reset(0)
+    codes = env.observe()
+    kept = sum(part.nbytes for part in codes.values()) + BESIDE_A_FRAME
+    read = 4 * sum(part.numel() for part in env.decode(codes).values())  # as float32
+    unrolls = config.num_envs * rows * (1 + config.lag) * kept
+    update = config.num_envs // config.updates_per_unroll * rows * read
+    free = torch.cuda.mem_get_info(device)[0] if device.startswith("cuda") else free_ram()
+    if unrolls + update <= free:
+        return None
+    return (
+        f"collector.num_envs={collector.num_envs}, "
+        f"collector.unroll_length={collector.unroll_length}: unrolls and the images of an update "
+        f"take {in_words(unrolls + update)} of the device, and {in_words(free)} are free"
+    )
 
 
 def _too_many_codes(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:

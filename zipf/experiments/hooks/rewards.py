@@ -37,4 +37,4 @@ class TimeLimitsEnd(Hook):
     def step(self, row: Row) -> None:
         if row.any_ended:
             row.fields["terminated"][:] = row.ended
-            row.fields["truncated"][:] = False
+            row.fields["truncated"].zero_()

@@ -45,8 +45,8 @@ class CollectorOptions(Options):
     """
 
     num_envs: PositiveInt
-    envs_per_update: PositiveInt | None
-    envs: Literal["auto", "host", "device"]
+    envs_per_update: PositiveInt | None = None
+    envs: Literal["auto", "host", "device"] = "auto"
     unroll_length: PositiveInt
     lag: Annotated[int, Field(ge=0, le=1)] | None
     bootstrap_at_time_limit: bool
@@ -120,7 +120,8 @@ class Config(Options):
     device: Device
     precision: Literal["auto", "float32", "bfloat16"]
     compile: bool
-    capture: bool
+    capture: bool = True
+    deterministic: bool = False
     threads: PositiveInt | None = None
     resume: Literal["auto", "must", "never"]
     agent: Any

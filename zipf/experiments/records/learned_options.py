@@ -7,8 +7,9 @@ from typing import Any
 # Options, or groups of them, without effect on learning: they are not part of a condition's name,
 # and a run may be resumed with other values of them.
 NOT_LEARNED = frozenset({
-    "condition", "row", "plugins", "updates", "run_root", "device", "compile", "capture", "threads",
-    "resume", "collector.envs", "evaluation", "schedule", "runtime.address",
+    "condition", "row", "plugins", "updates", "run_root", "device", "compile", "capture",
+    "deterministic", "threads", "resume", "collector.envs", "evaluation", "schedule",
+    "runtime.address",
 })  # fmt: skip
 
 

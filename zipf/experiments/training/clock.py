@@ -7,7 +7,34 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+import torch
+
 PARTS = ("environment", "inference", "learning", "evaluation")
+
+
+class DeviceClock:
+    """Seconds that a CUDA device spends on parts of its work, without waiting for it."""
+
+    def __init__(self) -> None:
+        self._spans: list[tuple[str, torch.cuda.Event, torch.cuda.Event]] = []
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """Measures what the block gives the device to do, for a part."""
+        begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+        begin.record()
+        yield
+        end.record()
+        self._spans.append((name, begin, end))
+
+    def read(self) -> dict[str, float]:
+        """Seconds by part since the last call; waits for the device."""
+        torch.cuda.synchronize()
+        seconds: dict[str, float] = {}
+        for name, begin, end in self._spans:
+            seconds[name] = seconds.get(name, 0.0) + begin.elapsed_time(end) / 1000
+        self._spans.clear()
+        return seconds
 
 
 class Clock:
@@ -18,7 +45,9 @@ class Clock:
             `learning` (updates) and `evaluation`. With `collector.lag=1` the first two happen
             beside `learning`, in a second thread; each part is measured by its thread's own wall
             clock, so that they add up to more than the elapsed time. With `runtime=ray` the first
-            two are means over the actors; of several learners all are those of the first.
+            two are means over the actors; of several learners all are those of the first. With envs
+            on a CUDA device all that collects counts as `inference`, and both are times of the
+            device.
         training: elapsed seconds of collecting and learning.
     """
 

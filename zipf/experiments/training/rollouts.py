@@ -28,6 +28,7 @@ from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
 from zipf.experiments.building.checkpoint import arrays
 from zipf.experiments.hooks.visits import Visits
+from zipf.experiments.training.clock import DeviceClock
 from zipf.experiments.training.collector import Collector, episode_metrics
 from zipf.experiments.training.tensor_collector import Tally, TensorCollector
 
@@ -270,6 +271,9 @@ class TensorRollouts(SynchronousRollouts):
 
     With lag 1 an unroll is played before the one before it is learned from, so that updates learn
     from what they would learn from with `BackgroundRollouts`.
+
+    Attributes:
+        clock: of a CUDA device, which works on while the host goes on; else None.
     """
 
     collector: TensorCollector
@@ -277,6 +281,7 @@ class TensorRollouts(SynchronousRollouts):
     def __init__(self, collector: TensorCollector, parts: int = 1, lag: int = 0):
         super().__init__(collector, parts)
         self.lag = lag
+        self.clock = DeviceClock() if collector.device.startswith("cuda") else None
         self._tally = Tally(collector)
         self._pending: tuple[Unroll, Tensor, Tensor] | None = None  # collected, not learned from
 
@@ -286,7 +291,15 @@ class TensorRollouts(SynchronousRollouts):
         return self._tally.visits
 
     def _next(self) -> Unroll:
+        if self.clock is not None:
+            with self.clock.part("inference"):
+                return self._next_unroll()
         start = perf_counter()
+        unroll = self._next_unroll()
+        self.collector.seconds["inference"] += perf_counter() - start
+        return unroll
+
+    def _next_unroll(self) -> Unroll:
         if self.lag == 0:
             unroll = self.collector.collect()
             outcomes, met = self.collector.outcomes, self.collector.met
@@ -294,7 +307,6 @@ class TensorRollouts(SynchronousRollouts):
             unroll, outcomes, met = self._pending or self._collected()
             self._pending = self._collected()
         self._tally.add(outcomes, met)
-        self.collector.seconds["inference"] += perf_counter() - start
         return unroll
 
     def _collected(self) -> tuple[Unroll, Tensor, Tensor]:

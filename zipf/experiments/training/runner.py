@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import signal
 import time
@@ -36,7 +37,7 @@ from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.options.schema import Config, has_bfloat16
 from zipf.experiments.training import pretrained
 from zipf.experiments.training.allocator import keep_freed_ram
-from zipf.experiments.training.clock import Clock
+from zipf.experiments.training.clock import Clock, DeviceClock
 from zipf.experiments.training.display import Display
 from zipf.experiments.training.logger import Logger
 from zipf.experiments.training.rollouts import TensorRollouts
@@ -67,6 +68,7 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
     schedule = config.schedule
     with ExitStack() as stack:
         stack.enter_context(_as_user_errors(config))
+        _choose_kernels(config)
         learner = stack.enter_context(runtime.learner())
         if learner.is_first:
             stack.enter_context(run_folder.lock(config.folder))
@@ -115,10 +117,29 @@ def _as_user_errors(config: Config) -> Iterator[None]:
         try:
             yield
         except RuntimeError as error:
-            if not config.compile or not isinstance(error, torch._dynamo.exc.TorchDynamoException):
-                raise
-            first = str(error).strip().splitlines()[0]
-            raise UserError(f"compile=true: {first}; choose compile=false") from None
+            first = next(iter(str(error).strip().splitlines()), "")
+            if config.compile and isinstance(error, torch._dynamo.exc.TorchDynamoException):
+                raise UserError(f"compile=true: {first}; choose compile=false") from None
+            if config.deterministic and "not have a deterministic implementation" in first:
+                raise UserError(f"deterministic=true: {first}; choose false") from None
+            raise
+
+
+def _choose_kernels(config: Config) -> None:
+    """On CUDA: with `deterministic=true` kernels that give the same bits every time."""
+    if not config.torch_device.startswith("cuda"):
+        return
+    if config.deterministic:
+        name, values = "CUBLAS_WORKSPACE_CONFIG", (":4096:8", ":16:8")  # PyTorch's documentation
+        if not torch.cuda.is_initialized():  # cuBLAS reads it when it starts
+            os.environ.setdefault(name, values[0])
+        if os.environ.get(name) not in values:
+            raise UserError(
+                f"deterministic=true: the environment variable {name} is {os.environ.get(name)}; "
+                f"should be {' or '.join(values)} before CUDA starts"
+            )
+        torch.backends.cudnn.benchmark = False
+    torch.use_deterministic_algorithms(config.deterministic)
 
 
 class Run:
@@ -282,6 +303,10 @@ class Run:
         if isinstance(self.env, ZipfVectorEnv):
             self.env.close()
 
+    @property
+    def _device_clock(self) -> DeviceClock | None:
+        return self.rollouts.clock if isinstance(self.rollouts, TensorRollouts) else None
+
     def may_stop(self, requested: int) -> int:
         """The number of the signal that asks a learner to stop; 0 while there is none, or updates
         of an unroll are left."""
@@ -294,18 +319,21 @@ class Run:
         """
         with self.clock.train():
             unroll, metrics = self.rollouts.step(self._learn)
-        self.update += 1
+            self.update += 1
+            if self._device_clock and self.update % self.config.schedule.log_every == 0:
+                self.clock.move(self._device_clock.read())
         return unroll, metrics
 
     def _learn(self, unroll: Unroll) -> Mapping[str, float | Tensor]:
-        with self._errors_of_learning(f"at update {self.update + 1}"), self.clock.part("learning"):
+        clock = self._device_clock or self.clock
+        with self._errors_of_learning(f"at update {self.update + 1}"), clock.part("learning"):
             if self.config.learning_rate_decay:
                 assert isinstance(self.agent, Learner)
                 self.agent.scale_learning_rates(self.config.learning_rate_factor(self.update))
             metrics = self.agent.update(unroll)
-            if self.device.startswith("cuda"):  # to measure the time, and because the unroll
-                torch.cuda.synchronize(self.device)  # is overwritten by the next
-            return metrics
+            if self.device.startswith("cuda") and not self._device_clock:
+                torch.cuda.synchronize(self.device)  # to measure the time, and because the unroll
+            return metrics  # is overwritten by the next
 
     def _check_finite(self) -> None:
         """Ends the run where captured updates have diverged, which alone do not end it at once."""
