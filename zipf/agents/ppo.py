@@ -116,7 +116,7 @@ class PPO(Learner):
 
     def capture(self, graph: Callable[[str], Graph] = CudaGraph) -> None:
         super().capture(graph)
-        self.estimates = Captured(  # type: ignore[method-assign]
+        self.estimates = Captured(  # type: ignore[assignment]  # which is called alike
             self.estimates, graph(self.device), list, name="the advantages of an update"
         )
 
