@@ -204,7 +204,7 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_update_equals_the_definition(kind):
-    """Weights and metrics, after two updates of several optimiser steps each."""
+    """Weights and metrics after its optimiser steps."""
     made, weighted = agent(**KINDS[kind]), "weighted" in KINDS[kind]
     data = unroll(0, made, weighted)
     before = {name: part.clone() for name, part in made.network.state_dict().items()}
