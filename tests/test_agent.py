@@ -21,7 +21,7 @@ from zipf.agents.unroll import Unroll
 from zipf.experiments.hooks.labels import Labels
 from zipf.experiments.hooks.reweighting import InverseCountOptions
 from zipf.experiments.options.config_files import find
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 from zipf.options import Options
 
 ACTIONS, ENVS, STEPS = 2, 4, 5
@@ -63,7 +63,7 @@ def unrolls(made, count):
     """Unrolls that the agent, which does not learn meanwhile, collects."""
     env = noise.Noise(ENVS, made.spec.observation_space)
     hooks = [Labels(RandomLabels(), 0.0)] if made.needs.teacher else []
-    collector = Collector(env, made, unroll_length=STEPS, seed=0, hooks=hooks)
+    collector = HostCollector(env, made, unroll_length=STEPS, seed=0, hooks=hooks)
     for _ in range(count):
         unroll = collector.collect()
         final = None if unroll.final is None else unroll.final.clone()

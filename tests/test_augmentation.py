@@ -21,7 +21,7 @@ from zipf.experiments.hooks.augmentation import (
 )
 from zipf.experiments.hooks.labels import Labels
 from zipf.experiments.hooks.relabelling import Hindsight
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 
 IMAGE = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (6, 8, 3), np.uint8))
 DECLARED = [family for family in envs.families().values() if family.symmetries is not None]
@@ -250,7 +250,7 @@ def test_the_collector_shows_and_acts_through_the_augmentation(monkeypatch):
     )
     labels = Labels(Teacher("expert", split, env), 0.0, augmentation)
     hooks = [Draws(augmentation, n, seed=3), labels]
-    collector = Collector(env, agent, unroll_length=steps, seed=0, hooks=hooks)
+    collector = HostCollector(env, agent, unroll_length=steps, seed=0, hooks=hooks)
     twin = envs.make_vec("gridworld/uniform", n, max_steps=7)
     draws, expert = Draws(augmentation, n, seed=3), envs.expert("gridworld/uniform", twin)
     observation, _ = twin.reset(seed=0)
@@ -312,7 +312,7 @@ def test_hindsight_relabels_what_the_augmentation_shows():
         advantage="none", policy_cost=1.0, value_cost=0.0, fade=None,
     )  # fmt: skip
     goal = envs.goal("gridworld/uniform", env)
-    collector = Collector(
+    collector = HostCollector(
         env,
         augmented_agent(augmentation),
         unroll_length=steps,

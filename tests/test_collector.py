@@ -24,7 +24,7 @@ from zipf.experiments.hooks.exploration import (
     FirstVisitOptions,
 )
 from zipf.experiments.hooks.rewards import SoftAsymmetric, TimeLimitsEnd, soft_asymmetric
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 
 ENVS, STEPS = 6, 9
 SMALL = {"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5, "max_steps": 7}
@@ -43,7 +43,7 @@ def build(*overrides, exploration=None, seed=3):
     env = envs.make_vec("gridworld/zipf_2", ENVS, **SMALL)
     agent = build_agent(options, env)
     hooks = [] if exploration is None else [exploration]
-    collector = Collector(env, agent, unroll_length=STEPS, seed=seed, hooks=hooks)
+    collector = HostCollector(env, agent, unroll_length=STEPS, seed=seed, hooks=hooks)
     return agent, collector
 
 
@@ -116,7 +116,7 @@ def test_an_unroll_holds_the_observations_that_episodes_were_truncated_at(places
     agent, collector = build("condition=r2d2", f"agent.final_observations={places}")
     singles = [envs.make("gridworld/zipf_2", **{**SMALL, "max_steps": 3}) for _ in range(ENVS)]
     env = envs.make_vec("gridworld/zipf_2", ENVS, **{**SMALL, "max_steps": 3})
-    collector = Collector(env, agent, unroll_length=STEPS, seed=3)
+    collector = HostCollector(env, agent, unroll_length=STEPS, seed=3)
     for i, single in enumerate(singles):
         single.reset(seed=3 + i)
     left_out = 0
@@ -147,7 +147,7 @@ def test_an_unroll_holds_the_observations_that_episodes_were_truncated_at(places
 def test_a_time_limit_can_be_the_end_of_the_task():
     """Played from the same seeds: the same steps, and what was cut has terminated."""
     agent, apart = build()
-    alike = Collector(
+    alike = HostCollector(
         apart.env.__class__(ENVS, **SMALL), agent, unroll_length=STEPS, seed=3,
         hooks=[TimeLimitsEnd()],
     )  # fmt: skip
@@ -173,7 +173,7 @@ def test_soft_asymmetric_clipping():
 def test_clipping_changes_what_is_learned_from_alone():
     """Played from the same seeds: the same steps, and the agent is told the true rewards."""
     agent, apart = build()
-    alike = Collector(
+    alike = HostCollector(
         apart.env.__class__(ENVS, **SMALL), agent, unroll_length=STEPS, seed=3,
         hooks=[SoftAsymmetric()],
     )  # fmt: skip
@@ -199,7 +199,7 @@ def test_clipping_does_not_change_what_the_agent_is_told_at_a_truncation(overrid
     env = Noise(ENVS, gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8)))
     agent = build_agent(options, env)
     apart, alike = (
-        Collector(deepcopy(env), agent, unroll_length=STEPS, seed=3, hooks=hooks)
+        HostCollector(deepcopy(env), agent, unroll_length=STEPS, seed=3, hooks=hooks)
         for hooks in ([], [SoftAsymmetric()])
     )
     one, other = apart.collect(), alike.collect()
@@ -303,7 +303,7 @@ def test_episodes_are_told_apart_by_level():
     names = ["gridworld/zipf_2", "gridworld/rare"]
     agent, _ = build()
     env = envs.make_vec(names, ENVS, **SMALL)
-    collector = Collector(env, agent, unroll_length=STEPS, seed=3)
+    collector = HostCollector(env, agent, unroll_length=STEPS, seed=3)
     none_ended = collector.episode_metrics()
     assert list(none_ended) == ["episode_return", "episode_length"]
     assert np.isnan(list(none_ended.values())).all()
@@ -345,7 +345,7 @@ def test_levels_drawn_at_resets_are_told_apart_by_the_name_of_their_episode():
     names = ("common", "seldom")
     levels = {name: silent for name in names}
     env = Mixture(levels, ENVS, draw="resets", exponent=1.0, rank="task")
-    collector = Collector(env, agent, unroll_length=STEPS, seed=3)
+    collector = HostCollector(env, agent, unroll_length=STEPS, seed=3)
     ends = {name: [] for name in names}
     playing = env.levels_of_envs.copy()
     step = env.step
@@ -374,7 +374,7 @@ def test_levels_drawn_at_resets_are_told_apart_by_the_name_of_their_episode():
 def test_an_episode_that_is_not_restored_begins():
     agent, _ = build()
     collector, other = (
-        Collector(silent(ENVS), agent, unroll_length=STEPS - 1, seed=3, hooks=[Brightness()])
+        HostCollector(silent(ENVS), agent, unroll_length=STEPS - 1, seed=3, hooks=[Brightness()])
         for _ in range(2)
     )
     collector.collect()

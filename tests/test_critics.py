@@ -34,7 +34,7 @@ from zipf.errors import UserError
 from zipf.experiments.building import loading
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 
 ACTIONS = 3
 SPACES = (
@@ -458,7 +458,7 @@ def test_r2d2_recalls_a_cue(critic):
     )
     made = agents()["r2d2"](options, spec)
     made.begin_learning()
-    collector = Collector(env, made, unroll_length=2 * (delay + 1), seed=0)
+    collector = HostCollector(env, made, unroll_length=2 * (delay + 1), seed=0)
     for _ in range(400 if critic.name == "hl_gauss" else 250):
         made.update(collector.collect())
     policy = AgentPolicy(made, seed=0, device="cpu")

@@ -27,7 +27,7 @@ from zipf.agents.episodic.familiarity import alike, augment, contrastive_losses
 from zipf.agents.episodic.recorder import Rows
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import ActorCritic, Inputs
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 
 ACTIONS, STEPS, BATCH, SIZE = 3, 6, 4, 16
 SPACE = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (9, 9, 3), np.uint8))
@@ -536,7 +536,7 @@ def test_names_of_parts_may_have_dots(options):
     memory = MLPOptions(name="mlp", size=SIZE, layers=1)
     spec = AgentSpec(*spaces, compact(patch=6), memory, episodic=options, num_envs=BATCH)
     made = agents()["impala"](IMPALA, spec)
-    collector = Collector(env, made, unroll_length=STEPS, seed=0)
+    collector = HostCollector(env, made, unroll_length=STEPS, seed=0)
     for _ in range(3):
         metrics = made.update(collector.collect())
     assert all(np.isfinite(float(value)) for value in metrics.values())
@@ -551,7 +551,7 @@ def test_on_policy_ratios_are_one(options):
     memory = MLPOptions(name="mlp", size=SIZE, layers=1)
     spec = AgentSpec(*spaces, compact(patch=6), memory, episodic=options, num_envs=BATCH)
     made = agents()["impala"](IMPALA, spec)
-    collector = Collector(env, made, unroll_length=STEPS, seed=0)
+    collector = HostCollector(env, made, unroll_length=STEPS, seed=0)
     for _ in range(5):
         assert made.update(collector.collect())["importance_ratio"] == pytest.approx(1, abs=1e-5)
     assert int(made.network.dictionary.filled) > 0
@@ -566,7 +566,7 @@ def score_in_training(episodic, seed, updates=200):
     spec = AgentSpec(*spaces, network, memory, episodic=episodic, num_envs=128, seed=seed)
     options = {"learning_rate": 5e-3, "adam_beta1": 0.9, "entropy_cost": 0.1}
     made = agents()["impala"](IMPALA.model_copy(update=options), spec)
-    collector = Collector(env, made, unroll_length=4, seed=seed)
+    collector = HostCollector(env, made, unroll_length=4, seed=seed)
     for update in range(updates):
         if update == updates - updates // 8:
             collector.episode_metrics()

@@ -21,7 +21,7 @@ from zipf.experiments.hooks.exploration import (
     FirstVisitBonus,
     FirstVisitOptions,
 )
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 
 OPTIONS = CountOptions(name="count", scale=0.3, table_size=2**20)
 FIRST_VISIT = FirstVisitOptions(name="first_visit", scale=0.25)
@@ -169,7 +169,7 @@ def explore(exploration, seed, learns=True):
         torch.nn.init.zeros_(parameter)  # it begins with random actions
     bonus = exploration and bonuses.BONUSES.build(exploration, spaces[0], seed)
     hooks = [] if bonus is None else [bonus]
-    collector = Collector(env, agent, unroll_length=20, seed=seed, hooks=hooks)
+    collector = HostCollector(env, agent, unroll_length=20, seed=seed, hooks=hooks)
     for _ in range(60):
         unroll = collector.collect()
         if learns:

@@ -40,7 +40,7 @@ from zipf.experiments.hooks.goal_memory import GoalMemory
 from zipf.experiments.hooks.labels import Labels
 from zipf.experiments.hooks.relabelling import RELABELLINGS, Hindsight
 from zipf.experiments.training import runner
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 
 ENVS, STEPS = 12, 9
 OPTIONS = AchievedOptions(
@@ -70,7 +70,7 @@ def collector_of(options=OPTIONS, seed=0, observation="tiles", augmentation=None
     goal = envs.goal(LEVEL, env)
     relabelling = RELABELLINGS.build(options, goal, env, seed=seed, draws=draws)
     hooks = [hook for hook in (draws, relabelling) if hook is not None]
-    return Collector(env, agent, unroll_length=STEPS, seed=seed, hooks=hooks)
+    return HostCollector(env, agent, unroll_length=STEPS, seed=seed, hooks=hooks)
 
 
 def episode_of(episodes, e):
@@ -283,7 +283,7 @@ def test_with_a_teacher_every_episode_is_kept_with_its_labels_for_what_it_was_as
     labels = Labels(Teacher("expert", envs.split("gridworld"), env), 0.3)
     kept_options = OPTIONS.model_copy(update={"kept_per_goal": 3})
     hook = Hindsight(kept_options, goal, env, seed=0, teacher=True)
-    collector = Collector(env, agent, unroll_length=STEPS, seed=0, hooks=[labels, hook])
+    collector = HostCollector(env, agent, unroll_length=STEPS, seed=0, hooks=[labels, hook])
     kept: dict[bool, list] = {True: [], False: []}
     collector.hooks[-1]._memory.add = lambda key, episode: kept[bool(key[-1])].append(
         (key[:-1], episode)
@@ -321,7 +321,7 @@ def test_with_a_teacher_a_matcher_learns_from_what_was_achieved_alone():
     changes = {"kept_per_goal": 50, "matching_cost": 1.0, "episodes": 60}
     kept = OPTIONS.model_copy(update=changes)
     hook = Hindsight(kept, envs.goal(LEVEL, env), env, seed=0, teacher=True)
-    collector = Collector(env, agent, unroll_length=STEPS, seed=0, hooks=[labels, hook])
+    collector = HostCollector(env, agent, unroll_length=STEPS, seed=0, hooks=[labels, hook])
     for _ in range(10):
         episodes = collector.collect().episodes
     length = episodes["mask"].sum(0)
@@ -707,7 +707,7 @@ def rare_success(relabelling, seed, updates=120):
     goal, seed = envs.goal(level, env), 1000 * seed
     hook = RELABELLINGS.build(relabelling, goal, env, seed=seed)
     hooks = [] if hook is None else [hook]
-    collector = Collector(env, agent, unroll_length=8, seed=seed, hooks=hooks)
+    collector = HostCollector(env, agent, unroll_length=8, seed=seed, hooks=hooks)
     for _ in range(updates):
         agent.update(collector.collect())
     test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.ENVS)

@@ -19,7 +19,7 @@ from zipf.envs.policies import Teacher
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
 from zipf.experiments.hooks.labels import Labels
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 
 ACTIONS, STEPS, BATCH = 3, 6, 4
 OPTIONS = ImitationOptions(
@@ -103,7 +103,7 @@ def test_the_teacher_labels_every_step_and_acts_in_its_share(share):
     agent = build(env.single_observation_space, env.single_action_space, teacher_share=share)
     split = envs.split("gridworld")
     labels = Labels(Teacher("expert", split, env), share)
-    collector = Collector(env, agent, unroll_length=8, seed=0, hooks=[labels])
+    collector = HostCollector(env, agent, unroll_length=8, seed=0, hooks=[labels])
     twin, expert = envs.make_vec("gridworld/zipf_2", 64), []
     asked = envs.expert("gridworld/zipf_2", twin)
     twin.reset(seed=0)
@@ -127,7 +127,7 @@ def test_it_learns_what_its_teacher_does():
     env = envs.make_vec("gridworld/uniform", 64, **tiny_gridworld.ENVS)
     agent = learner(env.single_observation_space, env.single_action_space)
     teacher = Teacher("expert", envs.split("gridworld"), env)
-    collector = Collector(env, agent, unroll_length=8, seed=0, hooks=[Labels(teacher, 0.0)])
+    collector = HostCollector(env, agent, unroll_length=8, seed=0, hooks=[Labels(teacher, 0.0)])
     for _ in range(100):
         agent.update(collector.collect())
     test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.ENVS)

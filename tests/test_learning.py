@@ -13,7 +13,7 @@ from zipf.agents.memory import MLPOptions
 from zipf.envs.gymnasium.vector import GymnasiumVectorEnv
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 
 pytestmark = pytest.mark.slow
 
@@ -68,7 +68,7 @@ def learn(agent, id, updates, seed=0, options=None, **envs):
     chosen = {"name": agent, **OPTIONS[agent], **(options or {})}
     learner = agents()[agent](agents()[agent].Options.model_validate(chosen), spec)
     learner.begin_learning()
-    collector = Collector(env, learner, unroll_length=20, seed=seed)
+    collector = HostCollector(env, learner, unroll_length=20, seed=seed)
     curve = []
     for update in range(1, updates + 1):
         learner.update(collector.collect())

@@ -15,7 +15,7 @@ from zipf.agents.network import Inputs
 from zipf.agents.network_options import CompactOptions
 from zipf.agents.returns import vtrace
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 from zipf.experiments.training.rollouts import BackgroundRollouts
 
 # The fixed point, exactly: a small Markov decision process whose every unroll is listed.
@@ -190,7 +190,9 @@ def learn(seed, updates=100):
         agent.network.policy.bias.copy_(FIRST.log())
         agent.network.baseline.weight.zero_()
         agent.network.baseline.bias.fill_(FIRST @ torch.tensor(PAYS))
-    overlap = BackgroundRollouts(Collector(env, agent, unroll_length=2, seed=seed, lag=1), agent)
+    overlap = BackgroundRollouts(
+        HostCollector(env, agent, unroll_length=2, seed=seed, lag=1), agent
+    )
     for _ in range(updates):
         unroll, _ = overlap.step(agent.update)
     overlap.close()

@@ -20,7 +20,7 @@ from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.hooks.exploration import BONUSES
 from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.training import runner
-from zipf.experiments.training.collector import Abandoned, Collector
+from zipf.experiments.training.host_collector import Abandoned, HostCollector
 from zipf.experiments.training.rollouts import BackgroundRollouts
 
 
@@ -54,7 +54,7 @@ def in_turn(config, updates):
     env = envs.make_train(config.split, config.collector.num_envs, **config.level_options)
     actor, learner = build_agent(config, env), build_agent(config, env)
     learner.begin_learning()
-    collector = Collector(
+    collector = HostCollector(
         env,
         actor,
         unroll_length=config.collector.unroll_length,
@@ -175,7 +175,7 @@ def test_unrolls_before_the_last_are_left_alone():
     """With a lag of 1, the one before; and an unroll begins where the one before ends."""
     config = config_of("nowhere")
     env = envs.make_train(config.split, 6, **config.level_options)
-    collector = Collector(env, build_agent(config, env), unroll_length=5, seed=0, lag=1)
+    collector = HostCollector(env, build_agent(config, env), unroll_length=5, seed=0, lag=1)
     before = collector.collect()
     kept = copied(before)
     for _ in range(3):

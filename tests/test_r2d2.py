@@ -30,7 +30,7 @@ from zipf.experiments.evaluation.trained import load_agent
 from zipf.experiments.options import config_files
 from zipf.experiments.options.schema import schema
 from zipf.experiments.training import runner
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 
 ACTIONS, STEPS, ENVS, BURN_IN = 3, 6, 4, 2
 OPTIONS = R2D2Options(
@@ -536,7 +536,7 @@ def test_after_the_burn_in_memory_equals_that_of_the_whole_history(memory, stora
     )
     made = R2D2(OPTIONS.model_copy(update={"replay_min": 20, "storage": storage}), spec)
     made.begin_learning(tmp_path)
-    collector = Collector(env, made, unroll_length=STEPS, seed=0)
+    collector = HostCollector(env, made, unroll_length=STEPS, seed=0)
     history = []
     for _ in range(4):
         unroll = collector.collect()
@@ -657,7 +657,7 @@ def test_impossible_options_are_reported_before_a_run(tmp_path):
         "agent.burn_in=7: should be at most collector.unroll_length=5",
     ]
     with pytest.raises(ValueError, match="burn-in of 2 rows is longer than an unroll of 1"):
-        Collector(Recall(ENVS, 3), agent(), unroll_length=1, seed=0)
+        HostCollector(Recall(ENVS, 3), agent(), unroll_length=1, seed=0)
 
 
 def test_the_papers_values():
@@ -784,7 +784,7 @@ def trained(env, network, memory, *, unroll_length, updates, seed):
     )
     made = R2D2(LEARNER, spec)
     made.begin_learning()
-    collector = Collector(env, made, unroll_length=unroll_length, seed=seed)
+    collector = HostCollector(env, made, unroll_length=unroll_length, seed=seed)
     for update in range(1, updates[-1] + 1):
         made.update(collector.collect())
         if update in updates:

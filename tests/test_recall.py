@@ -11,7 +11,7 @@ from zipf.agents.impala import Impala, ImpalaOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 
 pytestmark = pytest.mark.slow
 
@@ -39,7 +39,7 @@ def trained(memory, updates, **changes):
     env = Recall(64, DELAY)
     spaces = env.single_observation_space, env.single_action_space
     agent = Impala(IMPALA.model_copy(update=changes), AgentSpec(*spaces, NETWORK, memory))
-    collector = Collector(env, agent, unroll_length=2 * (DELAY + 1), seed=0)
+    collector = HostCollector(env, agent, unroll_length=2 * (DELAY + 1), seed=0)
     for _ in range(updates):
         agent.update(collector.collect())
     policy = AgentPolicy(agent, seed=1, device="cpu")

@@ -29,7 +29,7 @@ from zipf.experiments.hooks.reweighting import (
     NoReweightingOptions,
     bounded,
 )
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 
 TABLE = {"table_size": 2**16}
 
@@ -129,7 +129,7 @@ def gridworld(reweighting, seed=0, worlds=6, **level):
     goal = envs.goal("gridworld/zipf_2", env)
     weighing = REWEIGHTINGS.build(reweighting, goal, worlds)
     hooks = [] if weighing is None else [weighing]
-    return Collector(env, impala, unroll_length=9, seed=seed, hooks=hooks)
+    return HostCollector(env, impala, unroll_length=9, seed=seed, hooks=hooks)
 
 
 def test_unrolls_hold_the_weights_of_their_frames():
@@ -313,7 +313,7 @@ def rare_success(options, seed, updates=60):
     labels = Labels(Teacher("expert", envs.split("gridworld"), env), 0.0)
     weighing = REWEIGHTINGS.build(options, envs.goal(level, env), 32)
     hooks = [hook for hook in (labels, weighing) if hook is not None]
-    collector = Collector(env, agent, unroll_length=8, seed=1000 * seed, hooks=hooks)
+    collector = HostCollector(env, agent, unroll_length=8, seed=1000 * seed, hooks=hooks)
     for _ in range(updates):
         agent.update(collector.collect())
     test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.ENVS)

@@ -30,7 +30,7 @@ from zipf.experiments.hooks.augmentation import (
     RandomAugmentationOptions,
 )
 from zipf.experiments.hooks.relabelling import Hindsight
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 
 OPTIONS = SupervisedOptions(
     name="supervised",
@@ -187,7 +187,7 @@ def test_there_are_two_answers():
 def test_an_update_is_one_step_of_adam_on_the_cross_entropy_of_the_sides():
     env = FirstFrameVectorEnv(4, "supervised/find_shape_uniform")
     made = classifier(env, max_gradient_norm=1e9)
-    unroll = Collector(env, made, unroll_length=3, seed=1).collect()
+    unroll = HostCollector(env, made, unroll_length=3, seed=1).collect()
 
     frames, info = env.reset(seed=1)
     sides, alike = [], []
@@ -227,7 +227,7 @@ def test_with_hindsight_it_learns_relabelled_questions_too(kept):
     made, plain = classifier(env, spec=changes), classifier(env, spec=changes)
     goal = envs.goal(f"playroom/{level}", env)
     hook = Hindsight(options, goal, env, seed=1)
-    collector = Collector(env, made, unroll_length=6, seed=1, hooks=[hook])
+    collector = HostCollector(env, made, unroll_length=6, seed=1, hooks=[hook])
     frames, info = env.reset(seed=1)
     named = {}
     for _ in range(6):
@@ -297,7 +297,7 @@ def test_relabelled_questions_tell_where_the_named_object_is(kept, augmented):
     hooks = [Hindsight(options, goal, env, seed=1, draws=draws)]
     if draws is not None:
         hooks.insert(0, draws)
-    collector = Collector(env, agent, unroll_length=10, seed=1, hooks=hooks)
+    collector = HostCollector(env, agent, unroll_length=10, seed=1, hooks=hooks)
     questions = collector.collect().changed(agent.augmentation).episodes
     toys = FirstFrameVectorEnv(50, level)
     frames, _ = toys.reset(seed=0, options={"target": np.arange(50), "other": 0})
@@ -320,7 +320,7 @@ def test_relabelled_questions_tell_where_the_named_object_is(kept, augmented):
     plain = options.model_copy(update={"matching_cost": 0.0})
     apart = Painted(20, level)
     hook = Hindsight(plain, goal, apart, seed=1)
-    without = Collector(apart, classifier(env), unroll_length=10, seed=1, hooks=[hook])
+    without = HostCollector(apart, classifier(env), unroll_length=10, seed=1, hooks=[hook])
     assert "region" not in without.collect().episodes
 
 
@@ -333,7 +333,7 @@ def test_answers_are_random_in_training_and_its_best_in_evaluation():
     policy.start(200)
     answers = policy(seen, np.zeros(200, np.float32), first)
     np.testing.assert_array_equal(answers, policy(seen, np.zeros(200, np.float32), first))
-    collector = Collector(env, made, unroll_length=20, seed=0)
+    collector = HostCollector(env, made, unroll_length=20, seed=0)
     tosses = collector.collect().steps["action"][:-1].float()
     assert 0.47 < tosses.mean() < 0.53
     assert abs(np.corrcoef(tosses[:-1].flatten(), tosses[1:].flatten())[0, 1]) < 0.05
@@ -343,7 +343,7 @@ def test_every_frame_is_read_with_an_empty_memory():
     """By an LSTM, in every row of an unroll."""
     env = FirstFrameVectorEnv(3, LEVEL)
     made = classifier(env, memory=LSTMOptions(name="lstm", size=8, layers=1))
-    unroll = Collector(env, made, unroll_length=4, seed=1).collect()
+    unroll = HostCollector(env, made, unroll_length=4, seed=1).collect()
     inputs = Inputs.of(unroll.steps[:-1])
     together = made.network(inputs, made.initial_memory(3))
     for t in range(4):
@@ -382,7 +382,7 @@ def test_it_learns_the_side_that_the_words_name(seed):
         seed=seed,
     )
     made = Supervised(OPTIONS.model_copy(update={"learning_rate": 5e-3}), spec)
-    collector = Collector(env, made, unroll_length=4, seed=seed)
+    collector = HostCollector(env, made, unroll_length=4, seed=seed)
     for _ in range(150):
         metrics = made.update(collector.collect())
     assert metrics["accuracy"] >= 0.9

@@ -1,6 +1,6 @@
 """Actors in a Ray cluster that play for one learner (`runtime=ray`).
 
-Every actor is a process with envs, seeds and a `Collector` of its own. The learner gives it
+Every actor is a process with envs, seeds and a `HostCollector` of its own. The learner gives it
 weights, and it plays one unroll with them, which it puts into Ray's object store. The learner
 learns from unrolls as they arrive, the longest asked for first, one update from each.
 
@@ -53,7 +53,7 @@ from zipf.experiments.options import composing
 from zipf.experiments.options.runtime import RayOptions
 from zipf.experiments.options.schema import Config, schema
 from zipf.experiments.training.build_collector import build_collector
-from zipf.experiments.training.collector import episode_metrics
+from zipf.experiments.training.host_collector import episode_metrics
 from zipf.experiments.training.rollouts import Learned
 from zipf.experiments.training.runtime import Runtime
 

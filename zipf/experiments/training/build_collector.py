@@ -22,21 +22,21 @@ from zipf.experiments.hooks.rewards import SoftAsymmetric, TimeLimitsEnd, soft_a
 from zipf.experiments.hooks.reweighting import REWEIGHTINGS
 from zipf.experiments.hooks.tensor import View
 from zipf.experiments.options.schema import Config
-from zipf.experiments.training.collector import Collector
+from zipf.experiments.training.host_collector import HostCollector
 from zipf.experiments.training.tensor_collector import TensorCollector
 from zipf.options import Options
 
 
 def build_collector(
     config: Config, env: ZipfVectorEnv, agent: Agent, stream: tuple[int, ...] = ()
-) -> Collector:
+) -> HostCollector:
     """What collects for an agent in these envs.
 
     Args:
         stream: numbers which of several collectors of a run it is, a learner's or an actor's: each
             draws for itself.
     """
-    return Collector(
+    return HostCollector(
         env,
         agent,
         unroll_length=config.collector.unroll_length,
@@ -103,7 +103,6 @@ def build_tensor_collector(
     return TensorCollector(
         env,
         agent,
-        view,
         unroll_length=config.collector.unroll_length,
         seed=derive_seed(config.seed, "training", *stream),
         hooks=list(_tensor_hooks(config, env, view)),

@@ -2,55 +2,50 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from threading import Event
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from time import perf_counter
-from typing import Any, cast
+from typing import Any, NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from zipf.agents.agent import Agent
+from zipf.agents.memory import State
 from zipf.agents.network import Inputs
-from zipf.agents.unroll import Unroll, changed
-from zipf.envs.mixture import Mixture
-from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.building.checkpoint import arrays
-from zipf.experiments.hooks.augmentation import HostAugmentation
-from zipf.experiments.hooks.exploration import CountBonus
-from zipf.experiments.hooks.hook import Hook, Row
-from zipf.experiments.hooks.visits import Visits
+from zipf.agents.unroll import Unroll
+from zipf.experiments.hooks.hook import Hook, Parts, Row
 from zipf.experiments.training.unroll_buffers import CARRIED, UnrollBuffers
 
-_OUTCOMES = ("return", "length", "success")
+OUTCOMES = ("return", "length", "success")
 
 
-class Abandoned(Exception):
-    """`Collector.abandon` was called."""
+class Step(NamedTuple):
+    """What the envs have made of an action, on their device."""
+
+    reward: Tensor  # [N], the task's: float64 on the host, else float32
+    terminated: Tensor  # bool [N]
+    truncated: Tensor  # bool [N]
+    final: Parts  # as `Row` has it, and the next three
+    outcome: Parts
+    any_ended: bool = True
 
 
-class Collector:
-    """Fills one unroll after another without dropping a frame.
+class Collector(ABC):
+    """The base of collectors: what happens in a step, in envs on the host or on the device.
 
-    The environment writes its observations straight into an unroll; what an augmentation changes in
-    them is a column of it, `draw`.
-    There are 1 + `lag` unrolls, used in turn: an agent that keeps frames for longer copies them.
-    They are in RAM: pinned, if the agent computes on a CUDA device.
+    What is kept of observations is what the envs show; what an agent sees of it, its augmentation
+    makes.
 
     Attributes:
         seconds: spent in `environment` (stepping the envs) and `inference` (the agent acts).
-        visits: how often each situation was met.
 
     Args:
-        env: a batch in SAME_STEP autoreset mode; reset here, with `seed`.
+        env: the envs.
         agent: acts.
         unroll_length: T.
-        seed: of the envs and of the agent's actions.
         hooks: what else happens around a step, in this order.
-        lag: for how many further calls of `collect` an unroll stays valid.
+        generator: of the agent's actions.
 
     Raises:
         ValueError: the agent's burn-in is longer than an unroll.
@@ -58,13 +53,12 @@ class Collector:
 
     def __init__(
         self,
-        env: ZipfVectorEnv,
+        env: Any,
         agent: Agent,
         *,
         unroll_length: int,
-        seed: int,
-        hooks: Sequence[Hook] = (),
-        lag: int = 0,
+        hooks: Sequence[Hook],
+        generator: torch.Generator,
     ):
         burn_in = agent.needs.burn_in
         if burn_in > unroll_length:
@@ -73,222 +67,100 @@ class Collector:
             )
         self.env = env
         self.agent = agent
-        self._augmentation = cast(HostAugmentation | None, agent.augmentation)
         self.unroll_length = unroll_length
         self.device = agent.device
-        self.visits = Visits(tuple(env.situation))
-        self.hooks: list[Hook] = [self.visits, *hooks]
+        self.hooks = list(hooks)
         self.seconds = {"environment": 0.0, "inference": 0.0}
-        self._episodes: dict[str, list[float]] = defaultdict(list)
-        self._generator = torch.Generator().manual_seed(seed)
+        self._generator = generator
         self._memory = agent.initial_memory(env.num_envs)
-        self._abandoned = Event()
-        columns = {name: like for hook in self.hooks for name, like in hook.columns.items()}
-        finals, pinned = agent.needs.final_observations, self.device.startswith("cuda")
-        self._buffers = [
-            UnrollBuffers(env, unroll_length + 1, finals, columns, pinned) for _ in range(1 + lag)
-        ]
-        self._final = env.allocate()
-        self._final_tensors = tensors(self._final)
-        env.reset(seed=seed, out=self._buffers[-1].observation_row(-1))
-        self._show(self._buffers[-1], -1, np.ones(env.num_envs, np.bool_))
+        self._columns = {k: like for hook in self.hooks for k, like in hook.columns.items()}
 
-    def collect(self) -> Unroll:
-        """Plays T steps in every env.
+    @abstractmethod
+    def _advance(self, buffers: UnrollBuffers, t: int) -> Step:
+        """Takes the actions of row t, writes what the envs show then to row t + 1, and keeps the
+        outcomes of the episodes that ended."""
 
-        Returns an unroll whose steps are in RAM and whose memory is on the device.
+    @abstractmethod
+    def _remember(self, memory: State) -> None:
+        """`_memory` is this one from now on."""
 
-        Raises:
-            Abandoned: `abandon` was called.
-        """
-        before = self._buffers[-1]
-        self._buffers = [*self._buffers[1:], self._buffers[0]]
-        buffers = self._buffers[-1]
-        buffers.begin_after(before)
-        memory, late_memory = self._memory, None
+    @abstractmethod
+    def _kept(self, place: str) -> State:
+        """The memory as it is now, which stays so for as long as an unroll; `place` tells apart
+        what an unroll has of it."""
+
+    @abstractmethod
+    def _truncate(self, buffers: UnrollBuffers, t: int, step: Step) -> None:
+        """Values what episodes were truncated at after row t, or keeps it."""
+
+    def _fill(self, buffers: UnrollBuffers) -> Unroll:
+        """Plays T steps in every env, into buffers whose first row is there."""
+        burn_in, late = self.agent.needs.burn_in, None
+        memory = self._kept("memory")
         for t in range(self.unroll_length):
-            if self._abandoned.is_set():
-                raise Abandoned
-            if t == self.unroll_length - self.agent.needs.burn_in:
-                late_memory = self._memory
+            if t == self.unroll_length - burn_in:
+                late = self._kept("late_memory")
             self._step(buffers, t)
-        unroll = Unroll(buffers.steps, memory, late_memory, buffers.final)
+        self._finish(buffers)
+        final = buffers.final if self.agent.needs.final_observations else None
+        unroll = Unroll(buffers.steps, memory, late, final)
         for hook in self.hooks:
             hook.finish(unroll)
         return unroll
 
-    def abandon(self) -> None:
-        """Makes `collect` raise `Abandoned` at its next step, for good; called by another thread
-        than the one that collects."""
-        self._abandoned.set()
-
-    def episode_metrics(self) -> dict[str, float]:
-        """Means over the episodes that ended since the last call.
-
-        `episode_return` and `episode_length` (NaN if no episode ended), `episode_success` if the
-        envs report it, and, with several levels, the same for each level whose episodes ended:
-        `episode_return/<level>` and so on.
-        """
-        return episode_metrics(self.take_episodes())
-
-    def take_episodes(self) -> dict[str, list[float]]:
-        """The outcomes of the episodes that ended since the last call, by the names that
-        `episode_metrics` has them by."""
-        episodes, self._episodes = dict(self._episodes), defaultdict(list)
-        return episodes
-
-    def take_visits(self) -> Visits:
-        """How often each situation was met since the last call, or since the beginning."""
-        return self.visits.take()
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that the next unroll depends on."""
-        fields = self._buffers[-1].fields
-        return {
-            "environment": self.env.get_state(),
-            "memory": dict(self._memory),
-            "generator": self._generator.get_state(),
-            "inputs": {name: fields[name][-1].copy() for name in CARRIED},
-            "episodes": dict(self._episodes),
-            **{hook.name: hook.state_dict() for hook in self.hooks},
-        }
-
-    def begin_with(self, visits: Mapping[str, Any], hooks: Mapping[str, Any]) -> None:
-        """Goes on with new episodes, and with the visits and the bonus's counts of a collector of
-        tensor environments."""
-        self.visits.load_state_dict(visits)
-        for hook in self.hooks:
-            if isinstance(hook, CountBonus):
-                hook.load_state_dict(hooks[hook.name])
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues from `state_dict()`."""
-        buffers = self._buffers[-1]
-        restarted = self.env.set_state(arrays(state["environment"]))
-        self.env.observations(out=buffers.observation_row(-1))
-        self._memory = {k: v.to(self.device) for k, v in state["memory"].items()}
-        self._generator.set_state(state["generator"])
-        self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
-        for name, value in state["inputs"].items():
-            buffers.fields[name][-1] = value
-        # Envs that could not be restored have begun another episode.
-        beginning = {"is_first": True, "previous_action": -1, "previous_reward": 0.0}
-        for name, value in beginning.items():
-            buffers.fields[name][-1][restarted] = value
-        for hook in self.hooks:
-            hook.load_state_dict(arrays(state.get(hook.name, {})))
-        self._show(buffers, -1, restarted)
+    def _finish(self, buffers: UnrollBuffers) -> None:
+        """All steps are made; does nothing here."""
+        return
 
     def _step(self, buffers: UnrollBuffers, t: int) -> None:
         start = perf_counter()
-        fields, row = buffers.fields, buffers.rows[t]
-        seen, augmentation = buffers.inputs[t], self._augmentation
+        row, following = buffers.rows[t], buffers.rows[t + 1]
+        observation, augmentation = buffers.shown(t), self.agent.augmentation
+        seen = observation
         if augmentation is not None:
-            seen = changed(seen, augmentation)
-        inputs = Inputs.of(seen.to(self.device, non_blocking=True))
-        action, self._memory, behaviour = self.agent.act(inputs, self._memory, self._generator)
-        for name, value in behaviour.items():
-            buffers.write(name, t, value)
-        fields["action"][t] = action.cpu().numpy()  # waits for the copies above, too
+            seen = augmentation(observation, row.get("draw"))
+        inputs = Inputs(
+            {name: part.to(self.device, non_blocking=True) for name, part in seen.items()},
+            *(row[name].to(self.device, non_blocking=True) for name in CARRIED),
+        )
+        action, memory, behaviour = self.agent.act(inputs, self._memory, self._generator)
+        self._remember(memory)
+        buffers.write(t, behaviour)
+        row["action"].copy_(action)  # the host waits for the copies above, too
         acted = perf_counter()
         for hook in self.hooks:
             hook.act(row, self._generator)
 
-        following = buffers.observation_row(t + 1)
-        played = fields["action"][t]
-        if augmentation is not None:
-            played = augmentation.to_env(played, fields["draw"][t])
-        _, reward, terminated, truncated, info = self.env.step(
-            played, out=following, final_out=self._final
-        )
-        ended = terminated | truncated
-        any_ended = bool(ended.any())
-        fields["reward"][t] = reward
-        fields["terminated"][t] = terminated
-        fields["truncated"][t] = truncated
-        fields["previous_action"][t + 1] = np.where(ended, -1, fields["action"][t])
-        fields["previous_reward"][t + 1] = np.where(ended, 0.0, reward)
-        fields["is_first"][t + 1] = ended
-        outcome = info["final_info"] if any_ended else {}
-        if any_ended:
-            self._record(outcome, ended)
-        step = Row(
-            tensors(buffers.observation_row(t)),
+        step = self._advance(buffers, t)
+        ended = step.terminated | step.truncated
+        row["reward"].copy_(step.reward)
+        row["terminated"].copy_(step.terminated)
+        row["truncated"].copy_(step.truncated)
+        following["previous_action"].copy_(row["action"].masked_fill(ended, -1))
+        following["previous_reward"].copy_(step.reward.masked_fill(ended, 0.0))
+        following["is_first"].copy_(ended)
+        whole = Row(
+            observation,
             row,
-            torch.from_numpy(reward),
-            tensors(following),
-            self._final_tensors,
-            torch.from_numpy(ended),
-            any_ended,
-            tensors({name: part for name, part in outcome.items() if part.dtype.kind in "biuf"}),
+            step.reward,
+            buffers.shown(t + 1),
+            step.final,
+            ended,
+            step.any_ended,
+            step.outcome,
         )
         for hook in self.hooks:
-            hook.step(step)
-        self._show(buffers, t + 1, ended)
+            hook.step(whole)
+        self._show(buffers, t + 1, ended, step.any_ended)
         stepped = perf_counter()
-
-        fields["truncation_value"][t] = 0.0
-        truncated = fields["truncated"][t]
-        if truncated.any() and buffers.final is not None:
-            buffers.keep_final(t, truncated, self._final, reward)
-        elif truncated.any():
-            fields["truncation_value"][t, truncated] = self._value_at_truncation(
-                buffers, t, reward.astype(np.float32), truncated
-            )
+        self._truncate(buffers, t, step)
         self.seconds["inference"] += acted - start + perf_counter() - stepped
         self.seconds["environment"] += stepped - acted
 
-    def _show(self, buffers: UnrollBuffers, t: int, begins: NDArray[np.bool_]) -> None:
+    def _show(self, buffers: UnrollBuffers, t: int, begins: Tensor, any_begin: bool = True) -> None:
         """Row t is there; episodes begin in it where `begins` [N]."""
-        if begins.any():
-            observation = tensors(buffers.observation_row(t))
+        if any_begin:
             for hook in self.hooks:
-                hook.begin(observation, torch.from_numpy(begins))
+                hook.begin(buffers.shown(t), begins)
         for hook in self.hooks:
             hook.show(buffers.rows[t])
-
-    def _record(self, final_info: dict[str, NDArray], ended: NDArray[np.bool_]) -> None:
-        """Keeps the outcomes of the episodes that ended, for `episode_metrics`."""
-        levels = None
-        if isinstance(self.env, Mixture) and self.env.draw == "resets":
-            levels = final_info[f"{self.env.rank}_name"]
-        elif isinstance(self.env, Mixture):
-            levels = np.array(self.env.level_names)[self.env.levels_of_envs]
-        for name in _OUTCOMES:
-            if name == "success" and not self.env.reports_success:
-                continue
-            values = final_info[name][ended].tolist()
-            self._episodes[name].extend(values)
-            if levels is not None:
-                for level, value in zip(levels[ended], values, strict=True):
-                    self._episodes[f"{name}/{level}"].append(value)
-
-    def _value_at_truncation(
-        self, buffers: UnrollBuffers, t: int, reward: NDArray, truncated: NDArray[np.bool_]
-    ) -> NDArray:
-        def send(array: NDArray) -> Tensor:
-            return torch.from_numpy(array[truncated])
-
-        observation = {name: send(part) for name, part in self._final.items()}
-        if self._augmentation is not None:
-            observation = self._augmentation(observation, send(buffers.fields["draw"][t]))
-        inputs = Inputs(
-            {name: part.to(self.device) for name, part in observation.items()},
-            send(buffers.fields["action"][t]).to(self.device),
-            send(reward).to(self.device),
-            torch.zeros(int(truncated.sum()), dtype=torch.bool, device=self.device),
-        )
-        rows = torch.from_numpy(truncated).to(self.device)
-        memory = {name: value[rows] for name, value in self._memory.items()}
-        return self.agent.value(inputs, memory).cpu().numpy()
-
-
-def episode_metrics(episodes: Mapping[str, list[float]]) -> dict[str, float]:
-    """The means of `Collector.take_episodes()`."""
-    metrics = {f"episode_{name}": float("nan") for name in ("return", "length")}
-    return metrics | {f"episode_{name}": float(np.mean(v)) for name, v in episodes.items()}
-
-
-def tensors(parts: Mapping[str, NDArray[Any]]) -> dict[str, Tensor]:
-    """The same memory as tensors."""
-    return {name: torch.from_numpy(part) for name, part in parts.items()}

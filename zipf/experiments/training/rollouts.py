@@ -29,7 +29,7 @@ from zipf.agents.unroll import Unroll
 from zipf.experiments.building.checkpoint import arrays
 from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.training.clock import DeviceClock
-from zipf.experiments.training.collector import Collector, episode_metrics
+from zipf.experiments.training.host_collector import HostCollector, episode_metrics
 from zipf.experiments.training.tensor_collector import Tally, TensorCollector
 
 Learned = TypeVar("Learned")
@@ -87,7 +87,7 @@ class SynchronousRollouts:
 
     collector: Any
 
-    def __init__(self, collector: Collector | TensorCollector, parts: int = 1):
+    def __init__(self, collector: HostCollector | TensorCollector, parts: int = 1):
         self.collector = collector
         self.parts = parts
         self.updates = 0  # made since the run began, where there are parts
@@ -133,7 +133,7 @@ class SynchronousRollouts:
         return self.collector.collect()
 
     def metrics(self) -> dict[str, float]:
-        """See `Collector.episode_metrics`."""
+        """See `HostCollector.episode_metrics`."""
         return self.collector.episode_metrics()
 
     def state_dict(self) -> dict[str, Any]:
@@ -165,7 +165,7 @@ class BackgroundRollouts(SynchronousRollouts):
         agent: acts in the second thread and learns in the calling one.
     """
 
-    def __init__(self, collector: Collector, agent: Learner, parts: int = 1):
+    def __init__(self, collector: HostCollector, agent: Learner, parts: int = 1):
         super().__init__(collector, parts)
         self.agent = agent
         agent.separate_acting()
@@ -222,7 +222,7 @@ class BackgroundRollouts(SynchronousRollouts):
         self._collecting = self._thread.submit(self._collect)
 
     def metrics(self) -> dict[str, float]:
-        """As `Collector.episode_metrics`, of the unrolls that were learned from since the last
+        """As `HostCollector.episode_metrics`, of the unrolls that were learned from since the last
         call."""
         metrics = episode_metrics(self._episodes)
         self._episodes.clear()

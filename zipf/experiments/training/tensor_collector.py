@@ -12,90 +12,85 @@ from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDict
 from torch import Tensor
 
 from zipf.agents.agent import Agent
 from zipf.agents.capture import Captured, CudaGraph, Graph
+from zipf.agents.memory import State
 from zipf.agents.network import Inputs
-from zipf.agents.unroll import FINAL, STEP, Unroll
-from zipf.envs.tensor import Codes, Stepped, TensorEnv
+from zipf.agents.unroll import Unroll
+from zipf.envs.tensor import Codes, TensorEnv
 from zipf.experiments.building.checkpoint import arrays
-from zipf.experiments.hooks.hook import Hook, Row
+from zipf.experiments.hooks.hook import Hook
 from zipf.experiments.hooks.tensor import Counts, View
 from zipf.experiments.hooks.visits import Visits
-from zipf.experiments.training.unroll_buffers import CARRIED
+from zipf.experiments.training.collector import OUTCOMES, Collector, Step
+from zipf.experiments.training.unroll_buffers import CARRIED, UnrollBuffers
 
-_OUTCOMES = ("return", "length", "success")
 
-
-class TensorCollector:
-    """Fills one unroll after another.
+class TensorCollector(Collector):
+    """Fills one unroll after another, as one function of tensors.
 
     Where episodes are truncated the values of their last observations are computed once, after the
     unroll: of each env there is room for K = 1 + (T - 1) // max_steps of these observations, more
     than which cannot be cut in T steps.
 
     Attributes:
-        seconds: spent in `environment` and `inference`. They are one function, so that all of it is
-            counted as `inference`; on a CUDA device it is the time to launch it.
+        outcomes: of the episodes that ended in the unroll, float64 [4]: how many, and the sums of
+            what they came to.
+        met: how often they were of each situation, int64, all ranks flat.
 
     Args:
-        env: reset here, with `seed`.
-        agent: acts, on the device of the envs.
-        view: what the agent sees of the envs' codes.
-        unroll_length: T.
-        seed: of the envs, of the agent's actions and of what hooks draw.
-        hooks: what else happens around a step, in this order.
+        env: reset here, with `seed`, which is also that of the agent's actions and of what hooks
+            draw.
+        agent: acts, on the device of the envs; its augmentation is a `View` of them.
+        unroll_length, hooks: see `Collector`.
 
     Raises:
         ValueError: the agent's burn-in is longer than an unroll.
     """
 
+    env: TensorEnv
+
     def __init__(
         self,
         env: TensorEnv,
         agent: Agent,
-        view: View,
         *,
         unroll_length: int,
         seed: int,
         hooks: Sequence[Hook] = (),
     ):
-        burn_in = agent.needs.burn_in
-        if burn_in > unroll_length:
-            raise ValueError(
-                f"a burn-in of {burn_in} rows is longer than an unroll of {unroll_length}"
-            )
-        self.env, self.agent, self.view = env, agent, view
-        self.unroll_length, self.hooks = unroll_length, list(hooks)
-        self.device = agent.device
-        self.seconds = {"environment": 0.0, "inference": 0.0}
+        super().__init__(
+            env, agent, unroll_length=unroll_length, hooks=hooks, generator=env.generator
+        )
+        assert isinstance(agent.augmentation, View)
+        self._view = agent.augmentation
         self._captured: Captured | None = None
         env.reset(seed)
-        self._draws = any("draw" in hook.columns for hook in self.hooks)
-        self._steps = self._zeros_of_steps(unroll_length + 1)
-        self._memory = agent.initial_memory(env.num_envs)
-        self._before = {name: part.clone() for name, part in self._memory.items()}
-        self._late = (
-            {name: part.clone() for name, part in self._memory.items()} if burn_in else None
-        )
         slots = agent.needs.final_observations
         self._bootstraps = not slots
-        self._final = self._zeros_of_finals(slots or 1 + (unroll_length - 1) // env.max_steps)
+        self._buffers = UnrollBuffers(
+            env.observe(),
+            unroll_length + 1,
+            finals=slots or 1 + (unroll_length - 1) // env.max_steps,
+            further=self._columns,
+        )
+        assert self._buffers.final is not None
+        self._final = self._buffers.final
+        self._memories: dict[str, State] = {}  # those that an unroll has, by their place
         self._final_memory = {
             name: part.new_zeros(len(self._final), *part.shape)
             for name, part in (self._memory if self._bootstraps else {}).items()
         }
         self._cut = torch.zeros(env.num_envs, dtype=torch.int64, device=self.device)
-        # Of the episodes that ended in the unroll: how many, and the sums of their outcomes.
-        self.outcomes = torch.zeros(1 + len(_OUTCOMES), dtype=torch.float64, device=self.device)
+        self.outcomes = torch.zeros(1 + len(OUTCOMES), dtype=torch.float64, device=self.device)
         self.ranks = dict(env.situation)
         sizes = int(np.prod(list(self.ranks.values())))
         self.met = torch.zeros(sizes, dtype=torch.int64, device=self.device)
         self._one = torch.ones(env.num_envs, dtype=torch.int64, device=self.device)
-        self._write(self._steps["observation"], unroll_length, env.observe())
-        self._show(unroll_length, self._one.bool())
+        _copy(self._buffers.shown(unroll_length), env.observe())
+        self._show(self._buffers, unroll_length, self._one.bool())
 
     def collect(self) -> Unroll:
         """Plays T steps in every env. The unroll is overwritten by the next call."""
@@ -113,15 +108,14 @@ class TensorCollector:
 
     def tensors(self) -> list[Tensor]:
         """All that an unroll writes in place and that later ones depend on."""
-        last = {name: self._steps[name] for name in (*CARRIED, *self._columns())}
+        last = dict(self._buffers.steps["observation"].items()) | self._buffers.rows[-1]
         parts: list[dict[str, Tensor]] = [self.env.tensors(), self._memory, last]
-        parts += [dict(self._steps["observation"].items())]
         parts += [hook.tensors() for hook in self.hooks]
         return [tensor for part in parts for tensor in part.values()]
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that the next unroll depends on."""
-        inputs = {name: self._steps[name][-1].clone() for name in CARRIED}
+        inputs = {name: self._buffers.rows[-1][name].clone() for name in CARRIED}
         return {
             "environment": self.env.get_state(),
             "memory": {name: part.clone() for name, part in self._memory.items()},
@@ -147,86 +141,41 @@ class TensorCollector:
             for name, part in hook.tensors().items():
                 part.copy_(state["hooks"][hook.name][name])
         for name in CARRIED:
-            self._steps[name][-1].copy_(state["inputs"][name])
-        self._write(self._steps["observation"], self.unroll_length, self.env.observe())
+            self._buffers.rows[-1][name].copy_(state["inputs"][name])
+        _copy(self._buffers.shown(self.unroll_length), self.env.observe())
         for hook in self.hooks:
-            hook.show(self._row(self.unroll_length))
+            hook.show(self._buffers.rows[-1])
 
     @torch.no_grad()
     def _play(self) -> Unroll:
-        steps, length = self._steps, self.unroll_length
-        for part in (
-            dict(steps["observation"].items()),
-            self._row_of((*CARRIED, *self._columns())),
-        ):
-            for rows in part.values():
-                rows[0].copy_(rows[length])
-        self._copy(self._before, self._memory)
-        self._final.zero_()
-        self._final["step"].fill_(-1)
-        self._cut.zero_()
-        self.outcomes.zero_()
-        self.met.zero_()
+        self._buffers.begin_after(self._buffers)
+        for tensor in (self._cut, self.outcomes, self.met):
+            tensor.zero_()
         for hook in self.hooks:
             hook.begin_unroll()
-        for t in range(length):
-            if self._late is not None and t == length - self.agent.needs.burn_in:
-                self._copy(self._late, self._memory)
-            self._step(t)
-        if self._bootstraps:
-            self._bootstrap()
-        final = None if self._bootstraps else self._final
-        unroll = Unroll(steps, self._before, self._late, final)
-        for hook in self.hooks:
-            hook.finish(unroll)
-        return unroll
+        return self._fill(self._buffers)
 
-    def _step(self, t: int) -> None:
-        row = self._row(t)
-        codes = {name: part[t] for name, part in self._steps["observation"].items()}
-        draw = row.get("draw")
-        inputs = Inputs(self.view(codes, draw), *(row[name] for name in CARRIED))
-        action, memory, behaviour = self.agent.act(inputs, self._memory, self.env.generator)
-        self._copy(self._memory, memory)
-        self._write(self._steps, t, {"action": action, **behaviour})
-        for hook in self.hooks:
-            hook.act(row, self.env.generator)
-        stepped = self.env.step(self.view.to_env(row["action"], draw))
-        ended = stepped.terminated | stepped.truncated
-        given = {
-            "reward": stepped.reward,
-            "terminated": stepped.terminated,
-            "truncated": stepped.truncated,
-        }
-        self._write(self._steps, t, given)
-        following = {
-            "previous_action": torch.where(ended, -1, row["action"]),
-            "previous_reward": stepped.reward.masked_fill(ended, 0.0),
-            "is_first": ended,
-        }
-        self._write(self._steps, t + 1, following)
-        self._record(stepped.outcome, ended)
-        following = self.env.observe()
-        self._write(self._steps["observation"], t + 1, following)
-        final, outcome = stepped.final, stepped.outcome
-        seen = Row(codes, row, stepped.reward, following, final, ended, True, outcome)
-        for hook in self.hooks:
-            hook.step(seen)
-        self._show(t + 1, ended)
-        self._keep_final(t, stepped)
+    def _advance(self, buffers: UnrollBuffers, t: int) -> Step:
+        row = buffers.rows[t]
+        stepped = self.env.step(self._view.to_env(row["action"], row.get("draw")))
+        _copy(buffers.shown(t + 1), self.env.observe())
+        self._record(stepped.outcome, stepped.terminated | stepped.truncated)
+        return Step(*stepped)
 
-    def _show(self, t: int, begins: Tensor) -> None:
-        """Row t is there; episodes begin in it where `begins` [N]."""
-        codes = {name: part[t] for name, part in self._steps["observation"].items()}
-        for hook in self.hooks:
-            hook.begin(codes, begins)
-        for hook in self.hooks:
-            hook.show(self._row(t))
+    def _remember(self, memory: State) -> None:
+        _copy(self._memory, memory)
+
+    def _kept(self, place: str) -> State:
+        kept = self._memories.setdefault(
+            place, {name: torch.zeros_like(part) for name, part in self._memory.items()}
+        )
+        _copy(kept, self._memory)
+        return kept
 
     def _record(self, outcome: Codes, ended: Tensor) -> None:
         """Adds the outcomes of the episodes that ended."""
         sums = [ended.sum(dtype=torch.float64)]
-        sums += [(outcome[name].double() * ended).sum() for name in _OUTCOMES]
+        sums += [(outcome[name].double() * ended).sum() for name in OUTCOMES]
         self.outcomes.add_(torch.stack(sums))
         if self.ranks:
             index = torch.zeros_like(self._one)
@@ -234,86 +183,37 @@ class TensorCollector:
                 index = index * size + outcome[name]
             self.met.index_add_(0, index.clamp(0, len(self.met) - 1), ended.long())
 
-    def _keep_final(self, t: int, stepped: Stepped) -> None:
+    def _truncate(self, buffers: UnrollBuffers, t: int, step: Step) -> None:
         """Keeps what episodes were truncated at after row t, and the memory there."""
-        row = self._row(t)
+        row = buffers.rows[t]
         truncated = row["truncated"]
         given = {
             "step": torch.full_like(self._cut, t),
             "previous_action": row["action"],
-            "previous_reward": stepped.reward,
-        } | ({"draw": row["draw"]} if self._draws else {})
+            "previous_reward": step.reward,
+        } | {name: part for name, part in row.items() if name == "draw"}
         for k in range(len(self._final)):
             here = truncated & (self._cut == k)
-            for part, new in ((self._final["observation"], stepped.final), (self._final, given)):
+            for part, new in ((self._final["observation"], step.final), (self._final, given)):
                 for name, value in new.items():
                     part[name][k].copy_(_where(here, value, part[name][k]))
             for name, kept in self._final_memory.items():
                 kept[k].copy_(_where(here, self._memory[name], kept[k]))
         self._cut.add_(truncated)
 
-    def _bootstrap(self) -> None:
+    def _finish(self, buffers: UnrollBuffers) -> None:
         """Values what episodes were truncated at, all in one pass."""
+        if not self._bootstraps:
+            return
         final, n = self._final.flatten(0, 1), self.env.num_envs
-        observation = self.view(dict(final["observation"].items()), final.get("draw", None))
+        observation = self._view(dict(final["observation"].items()), final.get("draw", None))
         inputs = Inputs(observation, *(final[name] for name in CARRIED))
         memory = {name: part.flatten(0, 1) for name, part in self._final_memory.items()}
         values = self.agent.value(inputs, memory).view(-1, n)
         at = torch.arange(self.unroll_length, device=values.device).view(-1, 1, 1)
         here = at == self._final["step"]  # [T, K, N]
         found = torch.where(here, values, 0.0).sum(1)
-        self._steps["truncation_value"][:-1].copy_(found)
-
-    def _row(self, t: int) -> dict[str, Tensor]:
-        return {name: part[t] for name, part in self._steps.items() if name != "observation"}
-
-    def _row_of(self, names: Sequence[str]) -> dict[str, Tensor]:
-        return {name: self._steps[name] for name in names}
-
-    def _columns(self) -> list[str]:
-        return [name for hook in self.hooks for name in hook.columns]
-
-    @staticmethod
-    def _copy(target: dict[str, Tensor], source: dict[str, Tensor]) -> None:
-        for name, part in target.items():
-            part.copy_(source[name])
-
-    def _write(self, target: Any, t: int, given: dict[str, Tensor]) -> None:
-        """Writes row t; what the behaviour policy adds gets its place when it is first there."""
-        for name, value in given.items():
-            if name not in target.keys():
-                rows = target.batch_size[0]
-                target[name] = torch.zeros(
-                    rows, *value.shape, dtype=value.dtype, device=value.device
-                )
-            target[name][t].copy_(value)
-
-    def _zeros_of_steps(self, rows: int) -> TensorDict:
-        shape = rows, self.env.num_envs
-        further = {name: like for hook in self.hooks for name, like in hook.columns.items()}
-        like = STEP | {"bonus": torch.float32, "truncation_value": torch.float32}
-        steps = {name: self._zeros(shape, dtype) for name, dtype in like.items()}
-        steps |= {name: self._zeros((*shape, *p.shape), p.dtype) for name, p in further.items()}
-        steps["previous_action"].fill_(-1)
-        steps["is_first"].fill_(True)
-        observation = self._zeros_of_observations(rows)
-        return TensorDict({**steps, "observation": observation}, shape)
-
-    def _zeros_of_finals(self, count: int) -> TensorDict:
-        shape = count, self.env.num_envs
-        final: dict[str, Any] = {name: self._zeros(shape, dtype) for name, dtype in FINAL.items()}
-        if self._draws:
-            final["draw"] = self._zeros((*shape, self.view.size), torch.float64)
-        final["observation"] = self._zeros_of_observations(count)
-        return TensorDict(final, shape)
-
-    def _zeros_of_observations(self, rows: int) -> TensorDict:
-        codes = self.env.observe()
-        zeros = {k: self._zeros((rows, *part.shape), part.dtype) for k, part in codes.items()}
-        return TensorDict(zeros, (rows, self.env.num_envs))
-
-    def _zeros(self, shape: Sequence[int], dtype: torch.dtype) -> Tensor:
-        return torch.zeros(*shape, dtype=dtype, device=self.device)
+        buffers.steps["truncation_value"][:-1].copy_(found)
 
 
 class Tally:
@@ -337,7 +237,7 @@ class Tally:
         self._outcomes.zero_()
         return {
             f"episode_{name}": total / count if count else float("nan")
-            for name, total in zip(_OUTCOMES, sums, strict=True)
+            for name, total in zip(OUTCOMES, sums, strict=True)
         }
 
     @property
@@ -370,3 +270,8 @@ class Tally:
 def _where(mask: Tensor, new: Tensor, old: Tensor) -> Tensor:
     """Rows [N, ...] of `new` where `mask` [N], else those of `old`."""
     return torch.where(mask.view(-1, *[1] * (new.ndim - 1)), new, old)
+
+
+def _copy(target: Mapping[str, Tensor], source: Mapping[str, Tensor]) -> None:
+    for name, part in target.items():
+        part.copy_(source[name])

@@ -1,9 +1,8 @@
-"""The RAM of one unroll, as NumPy arrays and as tensors."""
+"""The memory of one unroll, as tensors and, on the host, as NumPy arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -12,60 +11,86 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from zipf.agents.unroll import FINAL, STEP
-from zipf.envs.vector import ZipfVectorEnv
 
 CARRIED = ("previous_action", "previous_reward", "is_first")
 """What an agent is told of the step before, beside its observation."""
 
 
 class UnrollBuffers:
-    """The steps of one unroll, [T + 1, N]: NumPy arrays and, in the same RAM, tensors.
+    """The steps of one unroll, [T + 1, N].
 
     Attributes:
-        observation: arrays by name.
-        fields: arrays by name, those that every agent needs and `further` ones; see `Unroll`.
-        steps: all of them as tensors, and what the behaviour policy adds.
+        steps: all of them, and what the behaviour policy adds.
         inputs: of `steps` the agent's inputs alone.
         rows: of each row the fields as tensors {name: [N]}.
         final: see `Unroll`; None for an agent that asks for none.
+        observation, fields: on the host the same memory as arrays by name: observations, and the
+            fields that every agent needs and `further` ones.
+
+    Args:
+        like: observations of N envs, {name: [N, ...]}, on the device.
+        rows: T + 1.
+        finals: K of `Unroll.final`; 0: there is none.
+        further: fields of hooks, as `Hook.columns`.
+        pinned: whether it is in pinned RAM, which CUDA devices copy from and to while the CPU goes
+            on.
     """
 
     def __init__(
         self,
-        env: ZipfVectorEnv,
+        like: Mapping[str, Tensor],
         rows: int,
-        finals: int,
+        *,
+        finals: int = 0,
         further: Mapping[str, Tensor],
-        pinned: bool,
+        pinned: bool = False,
     ):
-        self.pinned = pinned
-        shape = rows, env.num_envs
-        self.steps = TensorDict(batch_size=shape)
-        self.steps["observation"] = self._observations(env, rows)
-        self.observation = {name: part.numpy() for name, part in self.steps["observation"].items()}
-        self.final = self._finals(env, finals, further) if finals else None
-        self.fields: dict[str, NDArray[Any]] = {}
+        self._like, self._further, self._pinned = like, further, pinned
+        first = next(iter(like.values()))
+        self._num_envs, self._device = len(first), first.device
         more = {"bonus": torch.float32, "truncation_value": torch.float32}
-        for name, dtype in {**STEP, **more}.items():
-            self.steps[name] = self._tensor(torch.zeros(shape, dtype=dtype))
-        for name, like in further.items():
-            self.steps[name] = self._tensor(torch.zeros(*shape, *like.shape, dtype=like.dtype))
-        for name in {**STEP, **more, **further}:
-            self.fields[name] = self.steps[name].numpy()
-        self.fields["previous_action"][:] = -1
-        self.fields["is_first"][:] = True
+        fields = {name: torch.empty((), dtype=dtype) for name, dtype in {**STEP, **more}.items()}
+        self.steps = self._zeros(rows, {**fields, **further})
+        self.steps["previous_action"].fill_(-1)
+        self.steps["is_first"].fill_(True)
+        self.final: TensorDict | None = None
+        if finals:
+            of_final = {name: torch.empty((), dtype=dtype) for name, dtype in FINAL.items()}
+            drawn = {name: part for name, part in further.items() if name == "draw"}
+            self.final = self._zeros(finals, {**of_final, **drawn})
+        names = [*fields, *further]
         self.inputs = self.steps.select("observation", *CARRIED, *({"draw"} & further.keys()))
-        self.rows = [{name: self.steps[name][t] for name in self.fields} for t in range(rows)]
+        self.rows = [{name: self.steps[name][t] for name in names} for t in range(rows)]
+        shown = dict(self.steps["observation"].items())
+        self._shown = [{name: part[t] for name, part in shown.items()} for t in range(rows)]
+        if self._device.type == "cpu":
+            self.observation = {k: v.numpy() for k, v in self.steps["observation"].items()}
+            self.fields = {name: self.steps[name].numpy() for name in names}
+
+    def _zeros(self, rows: int, fields: Mapping[str, Tensor]) -> TensorDict:
+        shape = rows, self._num_envs
+        zeros = {k: self._tensor((*shape, *part.shape), part) for k, part in fields.items()}
+        observation = {k: self._tensor((rows, *part.shape), part) for k, part in self._like.items()}
+        return TensorDict({**zeros, "observation": TensorDict(observation, shape)}, shape)
+
+    def _tensor(self, shape: Sequence[int], like: Tensor) -> Tensor:
+        zeros = torch.zeros(*shape, dtype=like.dtype, device=self._device)
+        return zeros.pin_memory() if self._pinned else zeros
+
+    def shown(self, t: int) -> dict[str, Tensor]:
+        """The observations of row t, {name: [N, ...]}, to be read and written."""
+        return self._shown[t]
 
     def observation_row(self, t: int) -> dict[str, NDArray]:
-        """The observations of row t, {name: [N, ...]}, to be written to."""
+        """The same on the host, as arrays."""
         return {name: part[t] for name, part in self.observation.items()}
 
     def begin_after(self, other: UnrollBuffers) -> None:
         """Copies the last row of another unroll, or of this one, to the first row of this one."""
-        for mine, last in ((self.observation, other.observation), (self.fields, other.fields)):
-            for name, part in mine.items():
-                part[0] = last[name][-1]
+        for name, part in self.steps["observation"].items():
+            part[0].copy_(other.steps["observation", name][-1])
+        for name, row in self.rows[0].items():
+            row.copy_(other.rows[-1][name])
         if self.final is not None:
             self.final.zero_()  # so that what is not in use is the same in every run
             self.final["step"].fill_(-1)
@@ -91,34 +116,10 @@ class UnrollBuffers:
         if "draw" in self.fields:
             self.final["draw"].numpy()[places] = self.fields["draw"][t, envs]
 
-    def write(self, name: str, t: int, value: Tensor) -> None:
-        """Writes what the behaviour policy adds to row t, [N, ...]; the copy from a CUDA device is
-        queued."""
-        if name not in self.steps.keys():
-            rows = self.steps.batch_size[0]
-            self.steps[name] = self._tensor(torch.zeros(rows, *value.shape, dtype=value.dtype))
-        self.steps[name][t].copy_(value, non_blocking=True)
-
-    def _observations(self, env: ZipfVectorEnv, rows: int) -> TensorDict:
-        """Zeros in place of observations, [rows, N]."""
-        zeros = {
-            name: self._tensor(torch.from_numpy(np.zeros((rows, *array.shape), array.dtype)))
-            for name, array in env.allocate().items()
-        }
-        return TensorDict(zeros, (rows, env.num_envs))
-
-    def _finals(self, env: ZipfVectorEnv, count: int, further: Mapping[str, Tensor]) -> TensorDict:
-        shape = count, env.num_envs
-        final = TensorDict(batch_size=shape)
-        for name, dtype in FINAL.items():
-            final[name] = self._tensor(torch.zeros(shape, dtype=dtype))
-        if "draw" in further:
-            like = further["draw"]
-            final["draw"] = self._tensor(torch.zeros(*shape, *like.shape, dtype=like.dtype))
-        final["observation"] = self._observations(env, count)
-        return final
-
-    def _tensor(self, zeros: Tensor) -> Tensor:
-        """The tensor itself, or a copy in pinned RAM, which CUDA devices copy from and to while the
-        CPU goes on."""
-        return zeros.pin_memory() if self.pinned else zeros
+    def write(self, t: int, given: Mapping[str, Tensor]) -> None:
+        """Writes fields of row t, {name: [N, ...]}; what the behaviour policy adds gets its place
+        when it is first there. The copy from a CUDA device to the host is queued."""
+        for name, value in given.items():
+            if name not in self.steps.keys():
+                self.steps[name] = self._tensor((len(self.rows), *value.shape), value)
+            self.steps[name][t].copy_(value, non_blocking=True)
