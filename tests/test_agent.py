@@ -128,7 +128,7 @@ def test_a_loaded_agent_continues_bit_for_bit(name):
 
 
 def test_the_registry_has_the_agents_by_the_names_of_their_options():
-    assert {"imitation", "impala", "r2d2", "supervised", "vmpo"} <= set(agents())
+    assert {"imitation", "impala", "ppo", "r2d2", "supervised", "vmpo"} <= set(agents())
     for name, agent in agents().items():
         assert agent.Options.model_fields["name"].annotation == Literal[name]
 

@@ -15,6 +15,7 @@ from test_encoders import RESNET, SHALLOW, comparing
 from test_hindsight import OPTIONS as HINDSIGHT
 from test_impala import OPTIONS as IMPALA
 from test_memory import GTRXL
+from test_ppo import OPTIONS as PPO
 from test_r2d2 import BURN_IN
 from test_r2d2 import OPTIONS as R2D2
 from test_vmpo import OPTIONS as VMPO
@@ -35,7 +36,8 @@ ACTIONS, STEPS, BATCH, LENGTH, EPISODES = 3, 5, 4, 6, 3
 MLP = MLPOptions(name="mlp", size=16, layers=2)
 LSTM = LSTMOptions(name="lstm", size=16, layers=2)
 MEMORIES = {"mlp": MLP, "lstm": LSTM, "gtrxl": GTRXL}
-AGENTS = {"impala": IMPALA, "vmpo": VMPO, "r2d2": R2D2}
+PPO = PPO.model_copy(update={"minibatches": 2})
+AGENTS = {"impala": IMPALA, "ppo": PPO, "vmpo": VMPO, "r2d2": R2D2}
 HALF = {"fraction": 0.5}
 AUXILIARIES = {
     "vision": VISION.model_copy(update=HALF),
@@ -154,6 +156,16 @@ def test_actor_critics_learn_with_weights_and_from_hindsight(name):
     with fake_cuda():
         agent = make(name, weighted=True, hindsight=HINDSIGHT)
         learn(agent, unroll_of(agent))
+
+
+@pytest.mark.parametrize("memory", MEMORIES)
+def test_ppo_learns(memory):
+    with fake_cuda():
+        agent = make("ppo", MEMORIES[memory], weighted=True)
+        data = unroll_of(agent)
+        with capture_safe():
+            data.steps["old_value"], data.steps["advantage"] = agent.estimates(data)
+        learn(agent, data)
 
 
 def replayed(agent, device=DEVICE):

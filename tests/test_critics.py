@@ -368,8 +368,8 @@ def test_r2d2_prefers_the_certain_or_the_varied_action_by_its_risk():
 NAMES = [name for name, agent in agents().items() if "critic" in agent.supports]
 
 
-def test_three_agents_have_any_critic():
-    assert set(NAMES) == {"impala", "r2d2", "vmpo"}
+def test_the_agents_that_have_any_critic():
+    assert set(NAMES) == {"impala", "ppo", "r2d2", "vmpo"}
 
 
 def shipped(name):
@@ -405,7 +405,7 @@ def test_agents_without_a_critic_refuse_one(name):
         loading.load(overrides)
     assert len(str(error.value).splitlines()) == 1
     assert f"critic=quantile: agent={name} learns no distribution" in str(error.value)
-    assert "choose critic=scalar, or agent=impala or r2d2 or vmpo" in str(error.value)
+    assert "choose critic=scalar, or agent=impala or ppo or r2d2 or vmpo" in str(error.value)
 
 
 # Learning

@@ -15,6 +15,7 @@ from zipf.experiments.training import runner
 
 SMALL = {  # what is not small enough in an agent's file, and what it cannot do
     "imitation": ["exploration=none"],
+    "ppo": ["agent.minibatches=3"],
     "r2d2": [
         *("agent.burn_in=2", "agent.replay_min=6", "agent.replay_capacity=24", "agent.storage=ram"),
     ],
@@ -88,8 +89,9 @@ def test_conditions_train_and_are_scored(cuda, experiment, condition, tmp_path):
         "environment.max_steps=6",
         f"run_root={tmp_path}",
     ]
-    if condition.startswith("r2d2"):
-        arguments += SMALL["r2d2"]
+    for agent in ("ppo", "r2d2"):
+        if condition.startswith(agent):
+            arguments += SMALL[agent]
     loaded = loading.load(arguments)
     assert runner.train(loaded) == 0
     metrics = metrics_of(loaded.folder)

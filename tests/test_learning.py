@@ -1,4 +1,4 @@
-"""Learning: IMPALA, V-MPO and R2D2 learn two environments that everybody knows.
+"""Learning: IMPALA, V-MPO, PPO and R2D2 learn two environments that everybody knows.
 
 Scores are mean returns of 100 episodes. Uniformly random actions have about 22 in `CartPole-v1`
 (at most 500 are possible) and 0.2 in `MiniGrid-Empty-5x5-v0` (at most 0.955). Each test takes ten
@@ -30,6 +30,11 @@ OPTIONS = {
         **{"discount": 0.95, "target_period": 5, "top_fraction": 0.5},
         **{"epsilon_eta": 0.1, "epsilon_alpha": 0.03, "initial_eta": 3.0, "initial_alpha": 1.0},
     },
+    "ppo": {
+        **{"learning_rate": 1e-3, **ADAM, "adam_epsilon": 1e-5, "max_gradient_norm": 0.5},
+        **{"discount": 0.98, "gae_lambda": 0.8, "epochs": 4, "minibatches": 4},
+        **{"clip_ratio": 0.2, "clip_value": None, "baseline_cost": 0.5, "entropy_cost": 0.0},
+    },
     "r2d2": {
         **{"learning_rate": 2e-3, **ADAM, "weight_decay": 0.0, "max_gradient_norm": 1.0},
         **{"discount": 0.95, "trace_lambda": 0.9, "target_period": 50},
@@ -45,6 +50,7 @@ MINIGRID = {
         **{"learning_rate": 1e-3, "initial_eta": 1.0, "initial_alpha": 5.0},
         **{"epsilon_alpha": 0.01, "target_period": 1},
     },
+    "ppo": {"entropy_cost": 0.01},
     "r2d2": {
         **{"discount": 0.95, "trace_lambda": 0.8, "target_period": 25, "epsilon": 0.25},
         **{"samples_per_insert": 4.0, "replay_min": 100},

@@ -68,6 +68,8 @@ def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path)
     if condition.startswith("r2d2"):
         arguments += ["agent.burn_in=2", "agent.replay_min=3", "agent.replay_capacity=6"]
         arguments += ["agent.storage=ram"]
+    if condition == "ppo":
+        arguments += ["agent.minibatches=3"]
     if "transformer" in condition:
         arguments += ["memory.heads=2", "memory.mlp_size=8", "memory.memory_length=6"]
     whole = loading.load([*arguments, f"run_root={tmp_path / 'whole'}"])

@@ -16,7 +16,7 @@ An algorithm is its options, the network that it needs, `act` and `loss`:
             return Loss(loss, {"entropy": entropy})
 
 `act` and `loss` are functions of tensors: what surrounds them is here. An update is one optimiser
-step, in which
+step (PPO: several on an unroll), in which
 
     the loss is computed, and its gradients;
     gradients are averaged over learners (`zipf.agents.averaging`), and their norm is bounded;

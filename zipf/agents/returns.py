@@ -145,6 +145,48 @@ def lambda_returns(
     return returns
 
 
+@torch.no_grad()
+def gae(
+    *,
+    rewards: Tensor,
+    values: Tensor,
+    terminated: Tensor,
+    truncated: Tensor,
+    truncation_values: Tensor,
+    discount: float,
+    lambda_: float,
+) -> Tensor:
+    """Generalised advantage estimates, GAE(lambda) (Schulman et al. 2016, equation 16),
+
+        A_t = d_t + gamma lambda A_{t+1},  d_t = r_t + gamma V(x_{t+1}) - V(x_t)
+
+    within an episode and up to the unroll's end. A terminated step has no successor; a truncated
+    one bootstraps from the value of its own, and no error flows back across the cut.
+
+    Args:
+        rewards: float32 [T, B], r_t, the reward that followed a_t.
+        values: float32 [T + 1, B], V(x_t); the last row bootstraps.
+        terminated: bool [T, B], the episode ended for good after a_t.
+        truncated: bool [T, B], the episode was cut after a_t.
+        truncation_values: float32 [T, B], V(observation the episode was cut at); read where
+            `truncated`.
+        discount: gamma.
+        lambda_: 0 for the one-step error, 1 for returns to the end less the value.
+
+    Returns:
+        float32 [T, B], in the units of rewards; with V(x_t) added, the lambda-return.
+    """
+    following = torch.where(truncated, truncation_values, values[1:]).masked_fill(terminated, 0.0)
+    errors = rewards + discount * following - values[:-1]
+    trace = discount * lambda_ * ~(terminated | truncated)
+    advantages = torch.empty_like(errors)
+    advantage = torch.zeros_like(errors[0])
+    for t in reversed(range(len(errors))):
+        advantage = errors[t] + trace[t] * advantage
+        advantages[t] = advantage
+    return advantages
+
+
 RESCALING_EPSILON = 1e-3  # Pohlen et al. 2018, and the paper's R2D2 tables
 
 

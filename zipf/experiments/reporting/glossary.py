@@ -32,7 +32,7 @@ GLOSSARY = (
     ),
     ("frame", "one step of an environment as the agent sees it, after action repeat"),
     ("unroll", "T steps of B environments that an update learns from"),
-    ("update", "one step of the optimiser"),
+    ("update", "one step of the optimiser; with PPO several, on one unroll"),
     ("behaviour policy, target policy", "the weights that acted, and those that learn from it"),
     ("lag", "how many unrolls collection runs ahead of learning"),
     ("memory", "what an agent carries from frame to frame; that of the machine is RAM"),
