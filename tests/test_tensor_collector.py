@@ -12,6 +12,8 @@ from host_env import Host
 from tape import Tape
 
 from zipf import envs
+from zipf.agents.capture import CaptureFailed
+from zipf.agents.learner import Learner
 from zipf.agents.unroll import changed
 from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.building.factory import build_agent
@@ -426,3 +428,15 @@ def test_more_than_the_device_holds_is_refused_before_anything_is_built(tmp_path
     parts = ["collector.num_envs=100000", "collector.envs_per_update=100", "updates=4000"]
     parts += ["evaluation.every=1000", "schedule.checkpoint_every=1000", f"run_root={tmp_path}"]
     assert loading.load([*DEVICE, *parts]).updates_per_unroll == 1000
+
+
+def test_what_cannot_be_captured_ends_a_run_with_a_line(tmp_path, monkeypatch):
+    def fail(self):
+        raise CaptureFailed("the loss of an update cannot be captured; choose capture=false")
+
+    monkeypatch.setattr(runner, "captures", lambda config: True)
+    monkeypatch.setattr(Learner, "capture", fail)
+    finished = call(*DEVICE, f"run_root={tmp_path}")
+    assert finished.returncode != 0
+    assert finished.stderr.strip().splitlines()[-1].endswith("choose capture=false")
+    assert "Traceback" not in finished.stderr

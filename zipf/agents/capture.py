@@ -25,6 +25,10 @@ class CaptureFailed(RuntimeError):
     """A function cannot be captured."""
 
 
+class OtherShapes(CaptureFailed, ValueError):
+    """A captured function was called with inputs of other shapes or dtypes than at first."""
+
+
 Function = Callable[[], Any]
 
 
@@ -92,7 +96,7 @@ class Captured:
 
     Raises (when called):
         CaptureFailed: the function cannot be recorded.
-        ValueError: inputs that differ in shape or dtype from those of the first call.
+        OtherShapes: inputs that differ in shape or dtype from those of the first call.
     """
 
     def __init__(
@@ -148,8 +152,9 @@ class Captured:
         for name in sorted(given.keys() | self._flat.keys()):
             own, other = _described(self._flat.get(name)), _described(given.get(name))
             if own != other:
-                raise ValueError(
-                    f"{self.name}: input {name} is {other}, and was {own} when it was captured"
+                raise OtherShapes(
+                    f"{self.name}: input {name} is {other}, and was {own} when it was captured; "
+                    "choose capture=false"
                 )
         for name, static in self._flat.items():
             if static.data_ptr() != given[name].data_ptr():

@@ -15,6 +15,7 @@ from rich.console import Console
 from torch import Tensor
 
 from zipf import envs
+from zipf.agents.capture import CaptureFailed
 from zipf.agents.encoders import Encoder
 from zipf.agents.learner import Learner
 from zipf.agents.unroll import Unroll
@@ -116,6 +117,8 @@ def _as_user_errors(config: Config) -> Iterator[None]:
     with enough_ram(smaller):
         try:
             yield
+        except CaptureFailed as error:
+            raise UserError(str(error)) from None
         except RuntimeError as error:
             first = next(iter(str(error).strip().splitlines()), "")
             if config.compile and isinstance(error, torch._dynamo.exc.TorchDynamoException):
