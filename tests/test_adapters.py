@@ -176,7 +176,7 @@ def test_without_its_library_an_adapter_says_what_to_install(adapter, library, e
         if name.startswith((library, f"zipf.adapters.{adapter}")):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(ImportError, match=rf"pip install 'zipf-rl\[{extra}\]'"):
+    with pytest.raises(ImportError, match=rf"pip install '\.\[{extra}\]'"):
         importlib.import_module(f"zipf.adapters.{adapter}")
 
 

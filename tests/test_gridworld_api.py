@@ -251,7 +251,7 @@ def test_frames_mark_target_agent_and_view() -> None:
 def test_a_window_takes_pygame(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pygame", None)
     env = GridworldEnv(render_mode="human")
-    with pytest.raises(ImportError, match=r"zipf-rl\[human\]"):
+    with pytest.raises(ImportError, match=r"\.\[human\]"):
         env.reset()
 
 

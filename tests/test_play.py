@@ -230,7 +230,7 @@ def test_no_frames_replace_no_file(tmp_path):
 
 def test_an_mp4_takes_its_library(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(UserError, match=r"zipf-rl\[video\]"):
+    with pytest.raises(UserError, match=r"\.\[video\]"):
         Recording(tmp_path / "out.mp4", 5)
     with Recording(tmp_path / "out.gif", 5) as recording:
         recording.add(moving(1)[0])

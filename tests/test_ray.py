@@ -61,7 +61,8 @@ def test_a_cluster_that_is_not_there_is_told_at_once(address, tmp_path):
 
 def test_without_ray_it_is_said_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setattr(runtime, "find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r'^runtime=ray: needs Ray: pip install "zipf-rl\[ray\]"$'):
+    wrong = r'^runtime=ray: needs Ray: pip install "\.\[ray\]" in a clone of zipf$'
+    with pytest.raises(UserError, match=wrong):
         load(tmp_path, "runtime=ray")
     load(tmp_path)
 

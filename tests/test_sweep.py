@@ -175,7 +175,7 @@ def test_a_mistake_in_a_sweeps_file_is_one_clear_line(block, told, own):
     ("words", "told"),
     [
         (["hydra/launcher=joblb"], "joblb"),
-        (["hydra/launcher=nothing"], 'pip install "zipf-rl[sweep]"'),
+        (["hydra/launcher=nothing"], 'pip install ".[sweep]"'),
         (["hydra/launcher=joblib", "hydra.launcher.n_job=2"], "n_job"),
         (["hydra.launcher.n_jobs=2"], "choose the launcher too, as in hydra/launcher=joblib"),
         (["hydra/sweeper=basic"], "hydra/sweeper=basic: sweeps here are over lists"),

@@ -32,8 +32,8 @@ Options:
     policy=NAME     keyboard, random, agent (of the run), or a script: expert, which reads the state
                     of the env, or generalist, which knows what has been in view;
                     default: agent with run=, otherwise keyboard
-    record=FILE     a .gif, for short recordings, or an .mp4 (pip install "zipf-rl[video]"); no
-                    screen opens unless you play; default: nothing is recorded
+    record=FILE     a .gif, for short recordings, or an .mp4 (pip install ".[video]" in a clone of
+                    zipf); no screen opens unless you play; default: nothing is recorded
     episodes=N      default: 1 without a screen, otherwise until you leave
     seed=N          of the envs and the actions; default: a new one each time, which is printed
     fps=N           frames per second, 1 to 120; default: those of the family
@@ -41,8 +41,8 @@ Options:
                     default: what makes a picture 288 pixels high, or more
     view=NAME       world (drawn for people) or agent (its image); default: world, agent in a
                     terminal
-    screen=NAME     window (pip install "zipf-rl[human]"), terminal, or auto: a window if possible;
-                    default: auto
+    screen=NAME     window (pip install ".[human]" in a clone of zipf), terminal, or auto: a window
+                    if possible; default: auto
     plugins=NAMES   modules to import, for envs and agents from outside the package; default: none
 """
 

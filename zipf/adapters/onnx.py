@@ -1,4 +1,4 @@
-"""ONNX files as policies (`pip install "zipf-rl[onnx]"`)."""
+"""ONNX files as policies (`pip install ".[onnx]"` in a clone of zipf)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ try:
     import onnxruntime
 except ImportError as error:
     raise ImportError(
-        "zipf.adapters.onnx needs onnxruntime: pip install 'zipf-rl[onnx]'"
+        "zipf.adapters.onnx needs onnxruntime: pip install '.[onnx]' in a clone of zipf"
     ) from error
 
 

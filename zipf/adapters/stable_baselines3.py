@@ -1,6 +1,6 @@
 """Stable-Baselines3: a batch of environments as its `VecEnv`, and its models as policies.
 
-It needs `pip install "zipf-rl[sb3]"`.
+It needs `pip install ".[sb3]"` in a clone of zipf.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ try:
     from stable_baselines3.common.vec_env.stacked_observations import StackedObservations
 except ImportError as error:
     raise ImportError(
-        "zipf.adapters.stable_baselines3 needs Stable-Baselines3: pip install 'zipf-rl[sb3]'"
+        "zipf.adapters.stable_baselines3 needs Stable-Baselines3: pip install '.[sb3]' in a clone "
+        "of zipf"
     ) from error
 
 

@@ -15,7 +15,9 @@ def open_display(instead: str = "") -> Any:
     try:
         import pygame
     except ImportError as error:
-        raise ImportError('a window needs pygame: pip install "zipf-rl[human]"') from error
+        raise ImportError(
+            'a window needs pygame: pip install ".[human]" in a clone of zipf'
+        ) from error
     missing = RuntimeError(f"a window needs a display, and none was found{instead}")
     displays = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
     if sys.platform == "linux" and not any(os.environ.get(name) for name in displays):

@@ -130,7 +130,7 @@ def _not_in_a_cluster(config: Config) -> Iterator[str]:
     if not isinstance(config.runtime, RayOptions):
         return
     if not has_ray():
-        yield 'runtime=ray: needs Ray: pip install "zipf-rl[ray]"'
+        yield 'runtime=ray: needs Ray: pip install ".[ray]" in a clone of zipf'
     if agents()[config.agent.name].largest_lag == 0:
         others = [name for name, agent in agents().items() if agent.largest_lag]
         yield (

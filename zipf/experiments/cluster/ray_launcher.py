@@ -34,7 +34,9 @@ class RayLauncher(Launcher):
 
     def __init__(self, address: str, num_cpus: float, num_gpus: float, init: Mapping[str, Any]):
         if find_spec("ray") is None:
-            raise UserError('hydra/launcher=ray: Ray is not installed: pip install "zipf-rl[ray]"')
+            raise UserError(
+                'hydra/launcher=ray: Ray is not installed: pip install ".[ray]" in a clone of zipf'
+            )
         self.address = address
         self.num_cpus = num_cpus
         self.num_gpus = num_gpus

@@ -18,10 +18,10 @@ EXPLAINED = ("experiment", "condition", "environment")
 
 LAUNCHERS = {
     "basic": "one job after another; the default",
-    "joblib": 'hydra.launcher.n_jobs=<number> jobs at a time on this machine; "zipf-rl[sweep]"',
-    "submitit_slurm": 'jobs of a Slurm cluster; "zipf-rl[sweep]"',
-    "submitit_local": 'as submitit_slurm, all at once on this machine; "zipf-rl[sweep]"',
-    "ray": 'tasks of Ray, here or (hydra.launcher.address=auto) on a cluster; "zipf-rl[ray]"',
+    "joblib": 'hydra.launcher.n_jobs=<number> jobs at a time on this machine; ".[sweep]"',
+    "submitit_slurm": 'jobs of a Slurm cluster; ".[sweep]"',
+    "submitit_local": 'as submitit_slurm, all at once on this machine; ".[sweep]"',
+    "ray": 'tasks of Ray, here or (hydra.launcher.address=auto) on a cluster; ".[ray]"',
 }
 """What starts the jobs of a sweep, and the extra of the package that has it."""
 

@@ -221,7 +221,9 @@ def message_of(error: Exception) -> str:
     if re.search(f"Could not find '({'|'.join(['environment', *config_files.parts()])})/", message):
         message += "; one of your own has to be registered by a plugin: plugins=[<module>]"
     if "hydra/launcher" in message:
-        message += ' (joblib and submitit come with the extra: pip install "zipf-rl[sweep]")'
+        message += (
+            ' (joblib and submitit come with an extra: pip install ".[sweep]" in a clone of zipf)'
+        )
     return message
 
 

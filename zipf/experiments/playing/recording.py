@@ -136,5 +136,6 @@ def _check_video_library() -> None:
         import av  # noqa: F401
     except ImportError:
         raise UserError(
-            'record: an .mp4 needs PyAV: pip install "zipf-rl[video]"; a .gif needs nothing more'
+            'record: an .mp4 needs PyAV: pip install ".[video]" in a clone of zipf; a .gif needs '
+            "nothing more"
         ) from None
