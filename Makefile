@@ -7,7 +7,10 @@ BIN := $(VENV)/bin
 # Two jobs at a time, one core each.
 BESIDE := hydra/launcher=joblib hydra.launcher.n_jobs=2
 
-.PHONY: demo conditions tail test test-all lint types docs wheel results clean
+.PHONY: help demo conditions tail test test-all lint types docs wheel results clean
+
+help:  ## list what can be made
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: $(VENV)/.installed  ## train on a small gridworld for a few minutes, then print the scores
 	$(BIN)/python -m zipf.train experiment=demo

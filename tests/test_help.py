@@ -9,6 +9,7 @@ import sys
 import pytest
 from conftest import run, slow_but
 
+import zipf.__main__
 import zipf.evaluate
 import zipf.play
 import zipf.report
@@ -199,3 +200,28 @@ def test_help_and_misspelt_names_are_answered_without_pytorch(words, code, told)
     assert done.returncode == code, done.stderr
     assert told in done.stdout + done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_zipf_is_all_commands(monkeypatch, capsys):
+    """`zipf report --help` is `python -m zipf.report --help`, and a name that is none is told."""
+
+    def command(*words):
+        monkeypatch.setattr(sys, "argv", ["zipf", *words])
+        try:
+            code = zipf.__main__.main()
+        except SystemExit as ended:
+            code = ended.code
+        return code or 0, *capsys.readouterr()
+
+    code, out, _ = command()
+    assert code == 0
+    assert all(f"    {name} " in out for name in ("train", "evaluate", "report", "play"))
+    for module in OPTIONS:
+        assert command(module.__name__.removeprefix("zipf."), "--help")[:2] == (
+            0,
+            shown(module, monkeypatch, capsys),
+        )
+    assert command("--version") == (0, f"zipf {zipf.__version__}\n", "")
+    code, out, error = command("trian", "experiment=demo")
+    assert (code, out) == (2, "")
+    assert error == "error: zipf trian: no such command; choose train, evaluate, report, play\n"

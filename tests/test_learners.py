@@ -287,6 +287,7 @@ def test_what_cannot_be_is_refused_in_a_line(overrides, told, tmp_path):
 def test_a_device_is_of_one_learner(monkeypatch, tmp_path):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (2**40, 2**40))
     options = [one for one in TINY if not one.startswith("device=")]
     options += [*TORCHRUN, f"run_root={tmp_path}"]
     monkeypatch.setenv("LOCAL_RANK", "1")
