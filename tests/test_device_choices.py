@@ -1,0 +1,80 @@
+"""Every choice of every group is captured as the documentation's table says, by running it."""
+
+import pytest
+import torch
+from tape import Tape
+
+from zipf import envs
+from zipf.errors import UserError
+from zipf.experiments.building import loading
+from zipf.experiments.building.device_envs import not_captured, only_on_the_host
+from zipf.experiments.building.factory import build_agent
+from zipf.experiments.training.build_collector import build_collector, build_tensor_collector
+from zipf.experiments.training.rollouts import SynchronousRollouts, TensorRollouts
+from zipf.registry import registries
+
+SMALL = ["name=x", "collector.num_envs=6", "collector.unroll_length=5", "environment.max_steps=9",
+         "memory.size=16", "collector.lag=0"]  # fmt: skip
+FURTHER = {
+    "r2d2": ["agent.burn_in=2", "agent.replay_min=6", "agent.replay_capacity=24",
+             "agent.storage=ram"],
+    "ppo": ["agent.minibatches=3"],
+    "gtrxl": ["memory.heads=2", "memory.layers=1", "memory.memory_length=4"],
+    "imitation": ["exploration=none"],
+}  # fmt: skip
+CHOICES = [(group, one) for group, registry in registries().items() for one in registry.options]
+
+
+def config_of(experiment, group, choice, *others):
+    given = [f"experiment={experiment}", *SMALL, f"{group}={choice}", *FURTHER.get(choice, [])]
+    return loading.load([*given, *others])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("group", "choice"), CHOICES)
+def test_with_envs_on_the_device(group, choice):
+    refused = ""
+    try:
+        config = config_of("demo", group, choice, "collector.envs=device")
+    except UserError as error:
+        refused = str(error)
+    if refused:  # it takes the host, or what the gridworld does not show
+        reasons = ("takes envs on the host", "instruction", "no questions")
+        assert any(reason in refused for reason in reasons)
+        return
+    assert not [*only_on_the_host(config), *not_captured(config)]
+    env = envs.make_tensor(config.split, 6, "cpu", **config.level_options)
+    agent = build_agent(config, env)
+    agent.begin_learning()
+    collector = build_tensor_collector(config, env, agent)
+    learns_captured(agent, TensorRollouts(collector), collector)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("group", "choice"), CHOICES)
+def test_with_envs_on_the_host(group, choice):
+    try:
+        config = config_of("playroom_lift_compact", group, choice)
+    except UserError:
+        pytest.skip("does not go with lifting")
+    if list(not_captured(config)):
+        return
+    # Its recurrent layers keep a workspace that the tape does not renew.
+    with torch.backends.mkldnn.flags(enabled=False):
+        env = envs.make_train(config.split, 6, **config.level_options)
+        agent = build_agent(config, env)
+        agent.begin_learning()
+        learns_captured(agent, SynchronousRollouts(build_collector(config, env, agent)))
+
+
+def learns_captured(agent, rollouts, collector=None):
+    """Some updates as the tape replays them; what cannot be recorded raises."""
+    before = {name: part.clone() for name, part in agent.network.state_dict().items()}
+    agent.capture(Tape)
+    if collector is not None:
+        collector.capture(Tape)
+    for _ in range(4):
+        rollouts.step(agent.update)
+    agent.check_finite()
+    after = agent.network.state_dict()
+    assert any(not torch.equal(part, after[name]) for name, part in before.items())
