@@ -25,6 +25,7 @@ class Context:
         has_goals: whether its envs say what an episode asks for.
         num_envs, unroll_length: B and T of the unrolls that an agent learns from.
         chosen: the options of other groups, by the groups' names.
+        updates_per_unroll: how many updates are made from each unroll, of parts of its envs.
     """
 
     family: str
@@ -32,6 +33,7 @@ class Context:
     num_envs: int
     unroll_length: int
     chosen: Mapping[str, Any]
+    updates_per_unroll: int = 1
 
 
 class Options(BaseModel):

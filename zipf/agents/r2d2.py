@@ -328,23 +328,24 @@ class R2D2(Learner):
 
     def _seen(self, items: TensorDict) -> TensorDict:
         """Sequences [B] as the agent sees them, where it computes."""
-        if self._sees_on_device:
-            items = items.to(self.device)
-        if self.augmentation is not None:
-            items = items.clone(recurse=False)
-            for name in {"steps", "final"} & set(items.keys()):
-                items[name] = changed(items[name], self.augmentation)
+        items = items.clone(recurse=False)
+        for name in {"steps", "final"} & set(items.keys()):
+            items[name] = self._seen_steps(items[name])
         return items.to(self.device)
 
-    @torch.no_grad()
-    def _advance(self, steps: TensorDict, memory: State) -> State:
-        """The memory after steps [rows, E], from that before them."""
+    def _seen_steps(self, steps: TensorDict) -> TensorDict:
+        """Steps or final observations [...] likewise."""
         if self._sees_on_device:
             steps = steps.to(self.device)
         if self.augmentation is not None:
             steps = changed(steps, self.augmentation)
+        return steps.to(self.device)
+
+    @torch.no_grad()
+    def _advance(self, steps: TensorDict, memory: State) -> State:
+        """The memory after steps [rows, E], from that before them."""
         with self.autocast():
-            _, memory = self.network(Inputs.of(steps.to(self.device)), memory)
+            _, memory = self.network(Inputs.of(self._seen_steps(steps)), memory)
         return memory
 
     def loss(self, replayed: Replayed) -> Loss:

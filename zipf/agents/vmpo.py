@@ -23,6 +23,7 @@ the paper.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal, NamedTuple
 
 import torch
@@ -37,7 +38,7 @@ from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, frozen_copy, sampled
 from zipf.agents.returns import bootstrapped_returns
 from zipf.agents.unroll import Unroll, weighted
-from zipf.options import Positive, Share, Size
+from zipf.options import Context, Positive, Share, Size
 
 SMALLEST_DUAL = 1e-8  # Song et al. 2020
 
@@ -54,6 +55,13 @@ class VMPOOptions(LearnerOptions):
     epsilon_alpha: Positive
     initial_eta: Positive
     initial_alpha: Positive
+
+    def problems(self, context: Context) -> Iterator[str]:
+        if self.target_period % context.updates_per_unroll:
+            yield (
+                f"agent.target_period={self.target_period}: should be a multiple of "
+                f"{context.updates_per_unroll}, the updates of an unroll"
+            )
 
 
 @register

@@ -66,7 +66,12 @@ def problems(config: Config) -> Iterator[str]:
     parts = {group: getattr(config, group) for group in registries()}
     family = envs.family_of_split(config.environment.split)
     context = Context(
-        family.name, family.goal is not None, config.num_envs, collector.unroll_length, parts
+        family.name,
+        family.goal is not None,
+        config.num_envs,
+        collector.unroll_length,
+        parts,
+        config.updates_per_unroll,
     )
     found = [line for options in parts.values() for line in options.problems(context)]
     found += unsupported(config.agent.name, parts)
@@ -243,8 +248,6 @@ def _no_parts(config: Config) -> Iterator[str]:
         "evaluation.every": config.evaluation.every,
         "schedule.checkpoint_every": config.schedule.checkpoint_every,
     }
-    if config.agent.name == "vmpo":
-        counts["agent.target_period"] = config.agent.target_period
     for name, count in counts.items():
         if count % parts:
             yield f"{name}={count}: should be a multiple of {parts}, the updates of an unroll"

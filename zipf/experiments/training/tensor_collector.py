@@ -264,7 +264,7 @@ class Tally:
         """Continues from `state_dict()`."""
         self._outcomes.copy_(state["outcomes"])
         self._met.zero_()
-        self._visits.load_state_dict(arrays(state["visits"]))
+        self.begin_with(state["visits"])
 
 
 def _where(mask: Tensor, new: Tensor, old: Tensor) -> Tensor:

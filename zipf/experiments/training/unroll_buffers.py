@@ -21,7 +21,6 @@ class UnrollBuffers:
 
     Attributes:
         steps: all of them, and what the behaviour policy adds.
-        inputs: of `steps` the agent's inputs alone.
         rows: of each row the fields as tensors {name: [N]}.
         final: see `Unroll`; None for an agent that asks for none.
         observation, fields: on the host the same memory as arrays by name: observations, and the
@@ -59,7 +58,6 @@ class UnrollBuffers:
             drawn = {name: part for name, part in further.items() if name == "draw"}
             self.final = self._zeros(finals, {**of_final, **drawn})
         names = [*fields, *further]
-        self.inputs = self.steps.select("observation", *CARRIED, *({"draw"} & further.keys()))
         self.rows = [{name: self.steps[name][t] for name in names} for t in range(rows)]
         shown = dict(self.steps["observation"].items())
         self._shown = [{name: part[t] for name, part in shown.items()} for t in range(rows)]
