@@ -50,7 +50,9 @@ def naming(one: object) -> Iterator[None]:
         raise
 
 
-ANNOUNCED = "zipf: compiling the environments: a minute or so, once\n"
+ANNOUNCED = (
+    "zipf: code is compiled where it is first used: up to a minute, and kept for the next time\n"
+)
 
 
 @pytest.fixture(autouse=True, scope="session")

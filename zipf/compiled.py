@@ -4,12 +4,14 @@ Compiled code contains the constants and functions that the function's module im
 own cache only notices changes to the file of the function itself. Here compiled code is valid for
 one state of all source files of the package that it can depend on. Envs and agents do not import
 each other, so that a change of one leaves the code of the other valid; and the files of
-`zipf/experiments`, which neither imports, count for their own functions alone.
+`zipf/experiments` and `zipf/adapters` and the commands, which neither imports, count for their own
+functions alone.
 """
 
 import contextlib
 import hashlib
 import logging
+import os
 import pickle
 import sys
 import warnings
@@ -27,8 +29,8 @@ Function = Callable[..., Any]
 def compiled(*, references: bool = True, **options: Any) -> Callable[[Function], Any]:
     """Compiles a function by `numba.njit(nogil=True)` at its first call and saves the result.
 
-    The first compilation of a process is announced by a warning of the logger `zipf`, which goes to
-    standard error unless logging is told otherwise.
+    The first compilation of a state of the sources is announced by a warning of the logger `zipf`,
+    which goes to standard error unless logging is told otherwise.
 
     It is saved where numba would save it: in `NUMBA_CACHE_DIR`, else in `__pycache__` beside the
     function's file, else in the user's cache folder. Where none of them can be written, every
@@ -62,17 +64,19 @@ APART = ("agents", "envs")
 @cache
 def fingerprint(part: str = "") -> str:
     """A hash of numba's version and of the source files that compiled code can depend on,
-    hexadecimal; without those of `zipf/experiments`.
+    hexadecimal; without those of `zipf/experiments`, `zipf/adapters` and the commands.
 
     Args:
         part: the folder of the package that the code is in.
     """
     package = Path(__file__).parent
     digest = hashlib.sha256(numba.__version__.encode())
-    others = {"experiments"} | ({*APART} - {part} if part in APART else set())
+    others = {"experiments", "adapters"} | ({*APART} - {part} if part in APART else set())
     left_out = {path for folder in others for path in package.glob(f"{folder}/**/*.py")}
     for path in sorted(set(package.rglob("*.py")) - left_out):
         source = path.read_bytes()
+        if path.parent == package and b"zipf.experiments" in source:
+            continue  # a command
         digest.update(f"\n{path.relative_to(package).as_posix()} {len(source)}\n".encode())
         digest.update(source)
     return digest.hexdigest()
@@ -80,7 +84,17 @@ def fingerprint(part: str = "") -> str:
 
 @cache
 def _announce_once() -> None:
-    logging.getLogger("zipf").warning("zipf: compiling the environments: a minute or so, once")
+    """Once for each state of the sources, or once in a process where that cannot be noted."""
+    folder = os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parent / "__pycache__"
+    note = Path(folder) / "compiling_was_announced"
+    with contextlib.suppress(OSError):
+        if note.exists() and note.read_text() == fingerprint():
+            return
+        note.parent.mkdir(parents=True, exist_ok=True)
+        note.write_text(fingerprint())
+    logging.getLogger("zipf").warning(
+        "zipf: code is compiled where it is first used: up to a minute, and kept for the next time"
+    )
 
 
 @cache
