@@ -172,8 +172,11 @@ def _registered(group: str, name: str, option: str, value: Any) -> Origin:
 
 def _default(config: Config, option: str) -> Origin:
     """An option that no configuration has."""
-    part, _, name = option.rpartition(".")
-    return _of_class(type(getattr(config, part) if part else config), name)
+    *parts, name = option.split(".")
+    of: Any = config
+    for part in parts:
+        of = of[part] if isinstance(of, dict) else getattr(of, part)
+    return _of_class(type(of), name)
 
 
 def _of_class(options: type[Options], name: str) -> Origin:
@@ -203,6 +206,8 @@ def _given(word: str, known: dict[str, Origin], options: list[str]) -> dict[str,
         keys = [f"{key}.{option}" for option in flatten(value)]
     elif key in config_files.parts():
         keys = [f"{key}.name"]
+    elif key in config_files.several():
+        keys = [f"{key}.{name}.name" for name in (value if isinstance(value, list) else [value])]
     else:
         keys = ["condition" if key == "name" else key]
     found = {}
