@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from zipf.experiments.loggers.logger import LOGGERS, End, Logger, Start
-from zipf.experiments.records.learned_options import flatten
+from zipf.experiments.records.learned_options import affects_learning, flatten
 from zipf.options import Options
 
 
@@ -38,6 +38,7 @@ class TensorBoard(Logger):
         options = {
             name: value if isinstance(value, bool | int | float | str) else str(value)
             for name, value in flatten(dict(run.options)).items()
+            if affects_learning(name) or name == "condition"
         }
         *described, self._of_finished = hparams(options, {f"score/{kind}": 0 for kind in run.kinds})
         for summary in described:
