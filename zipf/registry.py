@@ -63,8 +63,8 @@ class Registry(Generic[Part]):
     def union(self) -> Any:
         """The type of the options of what is chosen from those registered now, for a pydantic
         model."""
-        one = Annotated[reduce(or_, self._options.values()), Field(discriminator="name")]
-        return dict[str, one] if self.several else one  # type: ignore[valid-type]
+        one: Any = Annotated[reduce(or_, self._options.values()), Field(discriminator="name")]
+        return dict[str, one] if self.several else one
 
 
 def registries() -> Mapping[str, Registry[Any]]:

@@ -174,7 +174,7 @@ class zipfs_gridworld:
         return _Gridworld(f"gridworld/{name}", seed=seed, **(level_kwargs_overrides or {}))
 
 
-class EnvironmentSettings(NamedTuple):
+class _Settings(NamedTuple):
     """Which env of Zipf's Playroom: `width` and `height` in pixels. An action lasts
     `num_action_repeats` frames of 1/30 s, always 4 here; the release's default is 1."""
 
@@ -189,10 +189,10 @@ class EnvironmentSettings(NamedTuple):
 class zipfs_playroom:
     """The module of this name: `zipfs_playroom.load_from_docker`, without Docker."""
 
-    EnvironmentSettings = EnvironmentSettings
+    EnvironmentSettings = _Settings
 
     @staticmethod
-    def load_from_docker(settings: EnvironmentSettings, name: str | None = None) -> DmEnv:
+    def load_from_docker(settings: _Settings, name: str | None = None) -> DmEnv:
         """An env of Zipf's Playroom, with the observations `RGB_INTERLEAVED` (uint8 [height,
         width, 3]) and `TEXT`, and the 46 actions of `zipf.envs.playroom.actions`.
 
