@@ -273,13 +273,14 @@ MAY_IMPORT = {
 ROOMS = [
     "records",
     "hooks",
+    "loggers",
     "options",
     "building",
     "reporting",
     "evaluation",
+    "playing",
     "training",
     "cluster",
-    "playing",
     "sweeping",
 ]
 for i, room in enumerate(ROOMS[1:], 1):

@@ -57,14 +57,14 @@ def main() -> None:
 
 
 def _evaluate(arguments: list[str]) -> None:
-    # Here, because `score` needs none of these: they import PyTorch and TensorBoard.
+    # Here, because `score` needs none of these: they import PyTorch.
     from rich.console import Console
 
     from zipf.experiments.building import run_folder
     from zipf.experiments.evaluation.trained import evaluate_run
     from zipf.experiments.options.command_line import read_options
     from zipf.experiments.options.schema import EvaluateOptions, module_names
-    from zipf.experiments.training.logger import write_results
+    from zipf.experiments.training.tables import write_results
 
     options = read_options(EvaluateOptions, arguments)
     if options.run is None or options.policy or options.split:

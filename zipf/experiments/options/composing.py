@@ -270,7 +270,8 @@ def _store() -> None:
     for group, known in _registered().items():
         for name, values in known.items():
             if find(group, name) is None:
-                store.store(group=group, name=name, node=values)
+                place = config_files.package(group, name)
+                store.store(group=group, name=name, node=values, package=place)
 
 
 def _forget(path: str) -> None:

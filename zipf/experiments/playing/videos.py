@@ -98,6 +98,25 @@ def record_videos(
         say(f"Wrote {(folder / video_files.FOLDER).as_posix()} (successes: {counts})")
 
 
+def film(folder: Path, plugins: Sequence[str]) -> Path | None:
+    """Records a failure of a run's agent in the rarest situation to `failure.gif` in its folder
+    `videos`; returns None where the agent has not failed in `EPISODES` episodes.
+    Raises UserError: as `record_videos`."""
+    trained = load_agent(folder, "cpu", plugins)
+    _playable(folder, trained)
+    name, _, extreme = SITUATIONS[1]
+    situation = find_situation(trained, extreme)
+    failures = [one for one in play(trained, situation, name)[0] if not one.success]
+    path = folder / video_files.FOLDER / "failure.gif"
+    try:
+        path.parent.mkdir(exist_ok=True)
+        for failure in failures:
+            _record(trained, situation, failure, path)
+    except OSError as error:
+        raise UserError(f"{path.as_posix()}: cannot be written: {error.strerror}") from None
+    return path if failures else None
+
+
 def record_run(folder: Path, trained: Trained, format: VideoFormat) -> video_files.Videos:
     """Records the videos of a run in the place of those that it may have.
     Raises UserError: the envs do not play the same actions alike, or a file cannot be written."""
