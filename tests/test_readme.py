@@ -261,6 +261,7 @@ COMMON = {
     "zipf.compiled",
     "zipf.protocol",
     "zipf.errors",
+    "zipf.lazy",
     "zipf.output",
     "zipf.registry",
 }

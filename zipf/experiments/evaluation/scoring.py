@@ -121,7 +121,7 @@ def score(
     Args:
         policy: a function from observations `{name: [N, ...]}` to actions [N], or a
             `zipf.evaluate.Policy`, which may have a memory; "expert" or "generalist" for a scripted
-            policy of the split's family. `zipf.evaluate.trained` makes one of the agent of a run,
+            policy of the split's family. `zipf.load_agent` makes one of the agent of a run,
             `policy` in each module of `zipf.adapters` one of an agent of another library.
         split: the benchmark, for instance "gridworld", or a `zipf.envs.Split` of your own.
         episodes: played on each level; None: as many as the split says: 1000, in the labyrinth's
