@@ -42,6 +42,6 @@ else:
     )
 
 __all__ = [
-    "Evaluation", "Report", "Run", "TrainedAgent", "UserError", "envs", "evaluate", "load_agent", "make",
-    "make_vec", "play", "record", "report", "score", "train", "zipfian",
+    "Evaluation", "Report", "Run", "TrainedAgent", "UserError", "envs", "evaluate", "load_agent",
+    "make", "make_vec", "play", "record", "report", "score", "train", "zipfian",
 ]  # fmt: skip
