@@ -122,7 +122,7 @@ def _evaluate_script(options: EvaluateOptions) -> None:
 def _progress() -> Iterator[Watch]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    shown = sys.stdout.isatty() and not is_quiet()
+    shown = console().is_terminal and not is_quiet()
     columns = BarColumn(), MofNCompleteColumn(), TextColumn("episodes")
     with Progress(*columns, transient=True, disable=not shown) as progress:
         task = progress.add_task("", total=None)

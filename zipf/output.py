@@ -42,7 +42,11 @@ def console() -> Console:
     no terminal. In a notebook, too, it is plain text."""
     from rich.console import Console
 
-    made = Console(highlight=False, quiet=is_quiet(), force_jupyter=False)
+    made = Console(highlight=False, quiet=is_quiet())
+    if made.is_jupyter:
+        made = Console(
+            highlight=False, quiet=is_quiet(), force_jupyter=False, force_terminal=False
+        )
     if not made.is_terminal:
         made.width = 120
     return made
