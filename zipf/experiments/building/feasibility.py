@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -31,6 +32,8 @@ from zipf.registry import registries
 
 def problems(config: Config) -> Iterator[str]:
     """The problems of options that are each valid by themselves, one line each."""
+    if sys.platform == "win32":
+        yield "training needs Linux or macOS: on Windows, run it in WSL"
     start, end = config.schedule.window
     if start > end:
         yield f"schedule.window=[{start}, {end}]: should begin before it ends"
