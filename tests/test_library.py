@@ -13,7 +13,7 @@ import threading
 import numpy as np
 import pytest
 import torch
-from conftest import TINY, assert_equal, call, contents, learned, slow_but
+from conftest import PACKAGE, TINY, assert_equal, call, contents, learned, slow_but
 from hydra.core.global_hydra import GlobalHydra
 
 import zipf
@@ -340,3 +340,14 @@ def test_a_report_and_an_evaluation_show_tables(trained_once, tmp_path, monkeypa
     assert repr(found).startswith("Evaluation(gridworld: train ")
     assert "<td>rare</td>" in found._repr_html_()
     assert list(found.to_dataframe()["level_kind"]) == list(found.scores)
+
+
+def test_the_notebook_is_stored_as_code_alone():
+    """`.ci/run` executes it."""
+    path = PACKAGE / "examples/notebook/zipf.ipynb"
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    assert len(code) > 5
+    for text in code:
+        compile(text, str(path), "exec")
+    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)

@@ -44,9 +44,7 @@ def console() -> Console:
 
     made = Console(highlight=False, quiet=is_quiet())
     if made.is_jupyter:
-        made = Console(
-            highlight=False, quiet=is_quiet(), force_jupyter=False, force_terminal=False
-        )
+        made = Console(highlight=False, quiet=is_quiet(), force_jupyter=False, force_terminal=False)
     if not made.is_terminal:
         made.width = 120
     return made
