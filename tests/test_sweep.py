@@ -19,7 +19,7 @@ from zipf.experiments.building import checkpoint, feasibility, loading, run_fold
 from zipf.experiments.options import composing, config_files
 from zipf.experiments.options.catalogue import help_text, summary
 from zipf.experiments.records.paper import paper_table
-from zipf.experiments.sweeping import job, sweep, sweeps
+from zipf.experiments.sweeping import job, launching, sweep, sweeps
 from zipf.experiments.training import runner
 from zipf.experiments.training.signals import SWEEP_PIPE, StopSignals
 
@@ -119,9 +119,9 @@ def test_a_sweep_of_ones_own(own):
     )
     jobs = everything("sweep=mine")
     assert [(j.config.experiment, j.config.condition, j.config.seed) for j in jobs] == [
-        ("demo", "impala,memory=mlp", 3),
+        ("demo", "impala-memory_mlp", 3),
         ("demo", "impala", 3),
-        ("demo", "impala,memory=mlp", 4),
+        ("demo", "impala-memory_mlp", 4),
         ("demo", "impala", 4),
         ("demo", "impala_mlp", 3),
         ("gridworld", "impala", 3),
@@ -268,6 +268,7 @@ def test_jobs_that_fail_stop_no_others(scripted, tmp_path):
 
 def test_how_far_a_job_is_is_told_from_time_to_time(scripted, monkeypatch):
     monkeypatch.setattr(job, "REPORT_EVERY", 0.3)
+    monkeypatch.setattr("zipf.experiments.sweeping.progress.REPORT_EVERY", 0.3)
     code, lines = scripted("9")
     assert code == 0
     begins, *progress, finished = lines[:-2]
@@ -345,7 +346,7 @@ def test_a_launcher_that_breaks_is_told(scripted, monkeypatch):
             self.task.board.tell(self.task.jobs[1], job.Outcome("begun", "begins"))
             raise RuntimeError("a worker\nwas killed")
 
-    monkeypatch.setattr(sweep, "_launcher", lambda overrides, root, task, wants_gpu: Broken(task))
+    monkeypatch.setattr(launching, "launcher", lambda words, root, task, gpu: (Broken(task), ""))
     code, lines = scripted("0,7,8")
     assert code == 2
     failure = "failed: the launcher failed: RuntimeError: a worker was killed"

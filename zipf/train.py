@@ -94,6 +94,8 @@ def _main() -> int:
             from zipf.experiments.sweeping import sweep
 
             return sweep.run(arguments.overrides, arguments.config_dir)
+        if asked_for := [one for one in arguments.overrides if sweeps.for_search(one)]:
+            raise UserError(f"{asked_for[0]}: is a sweep: add -m")
         jobs = sweeps.check(arguments.overrides).jobs
         if len(jobs) > 1 or sweeps.named(arguments.overrides):
             if arguments.cfg:
