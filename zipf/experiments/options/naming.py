@@ -58,9 +58,14 @@ class RowName:
         folder = "-".join(shown)
         if exact and len(folder) <= LONGEST:
             return folder
-        whole = ",".join([self.base, *(f"{name}={value}" for name, value in self.changes.items())])
-        digest = hashlib.sha256(whole.encode()).hexdigest()[:_HASH]
-        return f"{folder[: LONGEST - _HASH - 1].rstrip('-_.+')}-{digest}"
+        changes = (f"{name}={value}" for name, value in self.changes.items())
+        return with_hash(folder, ",".join([self.base, *changes]))
+
+
+def with_hash(name: str, whole: str) -> str:
+    """A name, cut if it is long, and a hash of all that it stands for."""
+    digest = hashlib.sha256(whole.encode()).hexdigest()[:_HASH]
+    return f"{name[: LONGEST - _HASH - 1].rstrip('-_.+')}-{digest}"
 
 
 def _shown(value: Any) -> tuple[str, bool]:

@@ -38,7 +38,9 @@ class SweepProgress:
             BarColumn(), MofNCompleteColumn(), TextColumn("jobs"), TextColumn("{task.description}")
         )
         self._task = self._bar.add_task("", total=jobs)
-        self._live = Live(console=self.console, get_renderable=self._panel, refresh_per_second=2)
+        self._live = Live(
+            console=self.console, get_renderable=self._panel, refresh_per_second=2, transient=True
+        )
 
     def __enter__(self) -> SweepProgress:
         if self.console.is_terminal:

@@ -23,7 +23,7 @@ from pydantic import ValidationError
 from zipf.errors import UserError
 from zipf.experiments.building import loading, run_folder
 from zipf.experiments.options import command_line, config_files
-from zipf.experiments.options.naming import RowName
+from zipf.experiments.options.naming import with_hash
 from zipf.experiments.options.schema import PositiveInt, Seed
 from zipf.experiments.records.wording import updates_text
 from zipf.experiments.sweeping import sweeps
@@ -285,7 +285,7 @@ class Search:
         kept = self.options.model_dump(exclude={"trials", "batch"})
         whole = repr((sorted(self._fixed), self._dimensions, self._seeds, self.name, kept))
         short = "+".join(one.option.rpartition(".")[2] for one in self._dimensions)
-        return RowName(f"search-{self.name}-{short}", {"of": whole}).folder
+        return with_hash(f"search-{self.name}-{short}", whole)
 
     def _measure(self) -> str:
         """Where the scores are from, in words."""
