@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
@@ -33,6 +34,8 @@ def problems(config: Config, coming: Collection[Path] = ()) -> Iterator[str]:
     """The problems of options that are each valid by themselves, one line each.
 
     `coming` are the folders of runs that will be there when this one begins."""
+    if sys.platform == "win32":
+        yield "training needs Linux or macOS: on Windows, run it in WSL"
     start, end = config.schedule.window
     if start > end:
         yield f"schedule.window=[{start}, {end}]: should begin before it ends"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import platform
 import shlex
@@ -266,6 +265,8 @@ def make(folder: Path) -> None:
 def lock(folder: Path) -> Iterator[None]:
     """Holds a run's folder against other processes, until this one ends, however it ends.
     Raises UserError: another process is training there, or the folder cannot be written."""
+    import fcntl  # here: Windows has none, and only training locks
+
     make(folder)
     try:
         file = open(folder / "lock", "a")  # noqa: SIM115
