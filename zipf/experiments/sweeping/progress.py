@@ -73,8 +73,9 @@ class SweepProgress:
             self._bar.update(self._task, completed=self._ended)
         self._reported[job] = now
         left = self._left() if outcome.state == "finished" else None
-        shown = left is not None and left >= 60 and not self.console.is_terminal
-        when = f"; {_when(left)}" if shown else ""
+        when = ""
+        if left is not None and left >= 60 and not self.console.is_terminal:
+            when = f"; {_when(left)}"
         self.say(f"{job.number}/{job.of} {job.name}: {outcome.text}{when}")
 
     def _left(self) -> float | None:

@@ -382,15 +382,16 @@ def _study(folder: Path) -> Study:
     """Optuna's journal of a search in its folder, which is made."""
     try:
         import optuna
+        from optuna.storages import JournalStorage
+        from optuna.storages.journal import JournalFileBackend
     except ImportError:
         raise UserError(
             'search=optuna: needs Optuna: pip install ".[optuna]" in a clone of zipf'
         ) from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     run_folder.make(folder)
-    backend = optuna.storages.journal.JournalFileBackend(str(folder / "optuna.log"))
     return optuna.create_study(
-        storage=optuna.storages.JournalStorage(backend),
+        storage=JournalStorage(JournalFileBackend(str(folder / "optuna.log"))),
         study_name=folder.name,
         direction="maximize",
         load_if_exists=True,
