@@ -221,4 +221,6 @@ def test_a_search_trains_and_is_not_done_twice(name, tmp_path, monkeypatch, caps
 def test_a_search_without_m_says_so():
     done = run(*ASKED)
     assert done.returncode == 2
-    assert done.stderr == "error: search=random: is a sweep: add -m\n"
+    assert (
+        done.stderr == "error: search=random: is a sweep of many runs: add -m, without --explain\n"
+    )

@@ -86,6 +86,9 @@ def _main() -> int:
         command_line.check_names(arguments.overrides)
         print(catalogue.help_text(arguments.overrides))
         return 0
+    searches = [word for word in arguments.overrides if sweeps.for_search(word)]
+    if searches and (asked is not None or not arguments.multirun):
+        raise UserError(f"{searches[0]}: is a sweep of many runs: add -m, without --explain")
     if asked is not None:
         _explain(asked, arguments.overrides)
         return 0
@@ -94,8 +97,6 @@ def _main() -> int:
             from zipf.experiments.sweeping import sweep
 
             return sweep.run(arguments.overrides, arguments.config_dir)
-        if asked_for := [one for one in arguments.overrides if sweeps.for_search(one)]:
-            raise UserError(f"{asked_for[0]}: is a sweep: add -m")
         jobs = sweeps.check(arguments.overrides).jobs
         if len(jobs) > 1 or sweeps.named(arguments.overrides):
             if arguments.cfg:

@@ -201,6 +201,8 @@ class Search:
     def tell(self) -> None:
         """Reads the scores of the runs that have finished, and writes `trials.csv`."""
         for trial in self._trials:
+            if trial.is_scored:
+                continue
             finished = (one.config for one in trial.jobs if run_folder.is_finished(one.config))
             trial.scores = [self._score(config.folder) for config in finished]
             if self._study is not None and trial.is_scored and trial.open is not None:
@@ -234,7 +236,7 @@ class Search:
         """Values of trials, none twice, until there are no others."""
         rng = np.random.default_rng(self.options.seed)
         seen = set()
-        for _ in iter(int, 1):
+        while True:
             draws = (tuple(one.draw(rng) for one in self._dimensions) for _ in range(_DRAWS))
             new = next((values for values in draws if values not in seen), None)
             if new is None:

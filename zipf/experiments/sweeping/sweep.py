@@ -80,14 +80,14 @@ class Sweeping:
         self._progress = SweepProgress(jobs)
         self._outcomes: dict[Job, Outcome] = {}
         self._configs: dict[Job, Config] = {}
+        self._jobs: dict[Path | None, Job] = {}  # by their runs' folders
 
     def say(self, line: str) -> None:
         """Prints a line."""
         self._progress.say(line)
 
-    def run(self, planned: Sequence[sweeps.PlannedJob]) -> list[Outcome]:
-        """Runs jobs that were checked, each after the one whose weights it begins with. Returns
-        what has become of each.
+    def run(self, planned: Sequence[sweeps.PlannedJob]) -> None:
+        """Runs jobs that were checked, each after the one whose weights it begins with.
 
         Raises:
             UserError: they cannot be started, or there is no such launcher. Nothing was begun.
@@ -97,20 +97,18 @@ class Sweeping:
                 "runtime=torchrun: a sweep starts each job as one process; start each with "
                 "torchrun, or choose runtime=local"
             )
-        jobs = [self._job(one) for one in planned]
-        stages = _stages(
-            {job: one.config for job, one in zip(jobs, planned, strict=True) if not one.is_finished}
-        )
+        jobs = {self._job(one): one for one in planned}
+        waiting = {job: one.config for job, one in jobs.items() if not one.is_finished}
+        stages = _stages(waiting)
         launch = self._launch(stages[0]) if stages else None
-        for one in planned:
-            if not one.is_finished:
-                run_folder.make(one.config.folder)
+        for config in waiting.values():
+            run_folder.make(config.folder)
         with self._progress:
-            for job, one in zip(jobs, planned, strict=True):
-                if one.is_finished:
+            for job in jobs:
+                if job not in waiting:
                     self._end(job, Outcome("skipped", "skipped, is finished"))
             for stage in stages:
-                ready = tuple(job for job in stage if not self._lacks_weights(job, jobs))
+                ready = tuple(job for job in stage if not self._lacks_weights(job))
                 if ready and not self.stopped:
                     launch = launch or self._launch(ready)
                     self.stopped = launch.run()
@@ -119,7 +117,6 @@ class Sweeping:
                 else:
                     for job in ready:
                         self._end(job, Outcome("not begun", "not begun"))
-        return [self._outcomes[job] for job in jobs]
 
     def _job(self, planned: sweeps.PlannedJob) -> Job:
         config = planned.config
@@ -132,6 +129,7 @@ class Sweeping:
             (*self._flags, *planned.overrides),
         )
         self._configs[job] = config
+        self._jobs[config.folder] = job
         return job
 
     def _launch(self, jobs: tuple[Job, ...]) -> Launch:
@@ -144,19 +142,16 @@ class Sweeping:
         run_folder.make(board.folder)
         return launch
 
-    def _lacks_weights(self, job: Job, jobs: Sequence[Job]) -> bool:
+    def _lacks_weights(self, job: Job) -> bool:
         """Whether the run that a job begins with has not finished, of which the job's outcome then
         tells."""
-        folder = self._configs[job].pretrained.folder
-        for other in jobs:
-            if self._configs[other].folder != folder or other not in self._outcomes:
-                continue
-            state = self._outcomes[other].state
-            if state not in ("finished", "skipped"):
-                why = f"not begun: begins with the weights of {other.name}, which has not finished"
-                self._end(job, Outcome("paused" if state == "paused" else "not begun", why))
-                return True
-        return False
+        other = self._jobs.get(self._configs[job].pretrained.folder)
+        outcome = self._outcomes.get(other) if other else None
+        if other is None or outcome is None or outcome.state in ("finished", "skipped"):
+            return False
+        why = f"not begun: begins with the weights of {other.name}, which has not finished"
+        self._end(job, Outcome("paused" if outcome.state == "paused" else "not begun", why))
+        return True
 
     def _end(self, job: Job, outcome: Outcome) -> None:
         self._outcomes[job] = outcome
@@ -172,7 +167,7 @@ class Sweeping:
 
     def summarise(self) -> None:
         """Says how many jobs have ended how, which have failed, and how a report is made."""
-        outcomes = self._outcomes
+        outcomes = {job: self._outcomes[job] for job in self._configs}
         states = Counter(outcome.state for outcome in outcomes.values())
         words = {
             "skipped": f"{'was' if states['skipped'] == 1 else 'were'} finished before",
