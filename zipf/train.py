@@ -57,6 +57,7 @@ class TrainOptions(TypedDict, total=False):
     environment: str
     name: str | None
     plugins: Sequence[str]
+    loggers: Sequence[str]
     seed: int
     updates: int
     run_root: str | Path
