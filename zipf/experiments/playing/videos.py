@@ -24,7 +24,7 @@ from zipf.errors import UserError
 from zipf.experiments.building.run_folder import agent_file
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
-from zipf.experiments.evaluation.trained import Trained, load_agent
+from zipf.experiments.evaluation.trained import TrainedAgent, load_agent
 from zipf.experiments.playing.recording import Recording, usual_fps
 from zipf.experiments.playing.screens import enlarge
 from zipf.experiments.records import video_files
@@ -117,7 +117,7 @@ def film(folder: Path, plugins: Sequence[str]) -> Path | None:
     return path if failures else None
 
 
-def record_run(folder: Path, trained: Trained, format: VideoFormat) -> video_files.Videos:
+def record_run(folder: Path, trained: TrainedAgent, format: VideoFormat) -> video_files.Videos:
     """Records the videos of a run in the place of those that it may have.
     Raises UserError: the envs do not play the same actions alike, or a file cannot be written."""
     target = folder / video_files.FOLDER
@@ -151,7 +151,7 @@ def record_run(folder: Path, trained: Trained, format: VideoFormat) -> video_fil
     return made
 
 
-def find_situation(trained: Trained, extreme: Extreme) -> Situation:
+def find_situation(trained: TrainedAgent, extreme: Extreme) -> Situation:
     """The most frequent situation of the uniform levels, or the rarest.
 
     The first rank takes its extreme value, then the next rank its own among situations with that
@@ -172,7 +172,7 @@ def find_situation(trained: Trained, extreme: Extreme) -> Situation:
     return next(one for one in found if next(iter(one.ranks.values())) == best)
 
 
-def play(trained: Trained, situation: Situation, name: str) -> tuple[list[Episode], int, int]:
+def play(trained: TrainedAgent, situation: Situation, name: str) -> tuple[list[Episode], int, int]:
     """Plays a situation until it has had both outcomes, `EPISODES` at most; the agent's draws are
     seeded from `name`.
 
@@ -221,7 +221,7 @@ def _batch(
     yield from (ended[i] for i in range(env.num_envs))
 
 
-def _record(trained: Trained, situation: Situation, episode: Episode, path: Path) -> Video:
+def _record(trained: TrainedAgent, situation: Situation, episode: Episode, path: Path) -> Video:
     length = len(episode.actions)
     every = ceil((length + 1) / MOST_FRAMES)
     drawn = {"autoreset_mode": AutoresetMode.DISABLED, "render_mode": "rgb_array"}
@@ -256,7 +256,7 @@ def _picture(env: ZipfVectorEnv) -> NDArray[np.uint8]:
     return enlarge(picture, ceil(HEIGHT / len(picture)))
 
 
-def _playable(folder: Path, trained: Trained) -> None:
+def _playable(folder: Path, trained: TrainedAgent) -> None:
     if trained.agent.answers_questions:
         raise UserError(
             f"videos: {folder.as_posix()} is of a classifier, which answers questions and does "
@@ -274,7 +274,9 @@ def _playable(folder: Path, trained: Trained) -> None:
                 )
 
 
-def _envs(trained: Trained, level: envs.SplitLevel, count: int, **kwargs: Any) -> ZipfVectorEnv:
+def _envs(
+    trained: TrainedAgent, level: envs.SplitLevel, count: int, **kwargs: Any
+) -> ZipfVectorEnv:
     options = {**trained.config.level_options, **kwargs}
     return envs.make_scored(trained.config.split, level, count, **options)
 

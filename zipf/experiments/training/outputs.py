@@ -63,6 +63,11 @@ class Outputs:
         self.say(line)
         self.write(line)
 
+    def warn(self, line: str) -> None:
+        """Shows a line, also where a run is quiet, and writes it."""
+        self.display.warn(line)
+        self.write(line)
+
     def start(self, run: Start) -> None:
         """Starts loggers and the display. Raises UserError: a logger cannot start; those before it
         are ended."""
@@ -103,7 +108,7 @@ class Outputs:
     def end(self, end: End) -> None:
         """Ends the loggers; those that were switched off are named again."""
         for line in self._lost:
-            self.say(line)
+            self.display.warn(line)
         self._call("on_end", end)
 
     def _call(self, method: str, *given: object) -> None:
@@ -116,7 +121,7 @@ class Outputs:
                 if method != "on_end":
                     line += f"; it is switched off since update {self.display.update}"
                 self._lost.append(line)
-                self.tell(line)
+                self.warn(line)
 
     def _stop(self, name: str, reason: str | None) -> None:
         if reason is not None and not self.reason:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import shlex
 import signal
+import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -46,7 +47,9 @@ from zipf.experiments.training.signals import Stopped, StopSignals, sweep_has_en
 from zipf.experiments.training.tables import Tables
 
 
-def train(config: Config, runtime: Runtime | None = None) -> int:
+def train(
+    config: Config, runtime: Runtime | None = None, words: Sequence[str] | None = None
+) -> int:
     """Trains until `config.updates`, a signal or a logger that asks to stop, or the first update
     after `schedule.stop_after` seconds; the same command resumes.
 
@@ -55,6 +58,8 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
 
     Args:
         runtime: the processes of the run (`zipf.experiments.cluster.runtime_of`); None: this one.
+        words: the arguments of the command, which describe the run in its folder; None: those of
+            this process.
 
     Returns the number of the signal that stopped it, 0 for none.
 
@@ -73,7 +78,7 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
         learner = stack.enter_context(runtime.learner())
         if learner.is_first:
             stack.enter_context(run_folder.lock(config.folder))
-        run = Run(config, runtime, learner)
+        run = Run(config, runtime, learner, sys.argv[1:] if words is None else words)
         if run.is_finished:
             run.close()
             run.outputs.say(f"{run.name}: is finished at update {run.update}, in {run.folder}")
@@ -165,9 +170,14 @@ class Run:
     """
 
     def __init__(
-        self, config: Config, runtime: Runtime | None = None, learner: OnlyLearner | None = None
+        self,
+        config: Config,
+        runtime: Runtime | None = None,
+        learner: OnlyLearner | None = None,
+        words: Sequence[str] = (),
     ):
         self.config = config
+        self._words = words
         self.learner = learner or OnlyLearner()
         runtime = runtime or Runtime(config)
         self.folder = config.folder
@@ -217,7 +227,7 @@ class Run:
             Tables.check(self.folder, self.update, self._lengths)
         self.name = config.run_name
         self.outputs = Outputs(config, self.update, is_first=self.learner.is_first)
-        self.stop = StopSignals(self.outputs.say)
+        self.stop = StopSignals(self.outputs.display.warn)
 
     def __enter__(self) -> Run:
         try:
@@ -243,7 +253,7 @@ class Run:
         if self.device.startswith("cuda"):
             tell(self._on_cuda())
         if precision == "bfloat16" and not has_bfloat16(self.device):
-            tell(
+            self.outputs.warn(
                 "precision=bfloat16: this device has no instructions for it and takes several "
                 "times as long as with precision=float32"
             )
@@ -280,7 +290,11 @@ class Run:
         self.outputs.open(self.update, self._lengths)
         resumed_at = None if self.is_new else self.update
         run_folder.write_description(
-            self.config, self.env.situation, resumed_at, pretrained=self._pretrained
+            self.config,
+            self.env.situation,
+            self._words,
+            resumed_at=resumed_at,
+            pretrained=self._pretrained,
         )
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
