@@ -68,7 +68,11 @@ def problems(config: Config, coming: Collection[Path] = ()) -> Iterator[str]:
             f"learning_rate_decay={config.learning_rate_decay}: agent={config.agent.name} has no "
             "learning rate; choose null"
         )
-    parts = {group: getattr(config, group) for group in registries()}
+    parts = {
+        group: getattr(config, group)
+        for group, registry in registries().items()
+        if not registry.several
+    }
     family = envs.family_of_split(config.environment.split)
     context = Context(
         family.name,
@@ -78,7 +82,8 @@ def problems(config: Config, coming: Collection[Path] = ()) -> Iterator[str]:
         parts,
         config.updates_per_unroll,
     )
-    found = [line for options in parts.values() for line in options.problems(context)]
+    checked = [*parts.values(), *config.loggers.values()]
+    found = [line for options in checked for line in options.problems(context)]
     found += unsupported(config.agent.name, parts)
     yield from found
     yield from _reads_itself(config)
