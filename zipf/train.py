@@ -224,9 +224,6 @@ def _main() -> int:
         command_line.check_names(arguments.overrides)
         print(catalogue.help_text(arguments.overrides))
         return 0
-    searches = [word for word in arguments.overrides if sweeps.for_search(word)]
-    if searches and (asked is not None or not arguments.multirun):
-        raise UserError(f"{searches[0]}: is a sweep of many runs: add -m, without --explain")
     if asked is not None:
         _explain(asked, arguments.overrides)
         return 0

@@ -359,6 +359,8 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
             part = values.get(group)
             if name := _not_chosen(key, values):
                 hint = f"choose it: {group}=[{','.join([*(part or {}), name])}]"
+            elif group in ("search", "sweep"):
+                hint = "what makes many runs goes with python -m zipf.train -m"
             elif owners := _owners(key):
                 hint = f"{group}={'|'.join(owners)} has it"
             elif isinstance(part, dict) and list(part) == ["name"]:  # a choice such as none

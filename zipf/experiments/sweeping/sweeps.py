@@ -102,6 +102,8 @@ def check(overrides: list[str], is_finished: Callable[[Config], bool] = lambda _
         UserError: with one line for every mistake in any of the jobs, or where two of them would
             use the same folder.
     """
+    if searches := [word for word in overrides if for_search(word)]:
+        raise UserError(f"{searches[0]}: is a sweep of many runs: add -m, without --explain")
     problems: dict[str, None] = {}
     left_out: dict[str, None] = {}
     jobs: list[PlannedJob] = []
