@@ -21,6 +21,7 @@ GIF_MAX_FPS = 10  # ours: of a faster recording a GIF shows every so many-th fra
 
 _GIF_TICKS = 100  # a GIF counts time in hundredths of a second
 _LONGEST = 2**16 - 1  # ticks that a GIF shows a frame
+_COLOURS = 255  # of a frame of a GIF, and one that stands for no change
 
 
 class Recording:
@@ -32,7 +33,7 @@ class Recording:
         with Recording(Path("out.gif"), fps=8) as recording:
             recording.add(frame)
 
-    Frames are written as they come. In a GIF each has its own palette: images of at most 256
+    Frames are written as they come. In a GIF each has its own palette: images of at most 255
     colours are exact. An MP4 is H.264 with 4:2:0 chroma, the format that every browser plays; it
     needs even sizes, so that an odd one gains a row or a column.
 
@@ -165,19 +166,23 @@ class _Gif:
         self._fps = fps
         self._frames = 0
         self._shown: NDArray[np.uint8] | None = None
-        # The last part that changed, with its place, which is written when it is known for how
-        # long it is shown, and the number of the frame that it came with.
-        self._part: tuple[NDArray[np.uint8], tuple[int, int]] | None = None
+        # What has changed last, which is written when it is known for how long it is shown: the
+        # pixels of a part of the frame, which of them changed, and the part's place; and the number
+        # of the frame that it came with.
+        self._part: tuple[NDArray[np.uint8], NDArray[np.bool_], tuple[int, int]] | None = None
         self._since = 0
         forever = b"\x21\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00"
         file.write(b"GIF89a" + struct.pack("<HHBBB", *size, 0x70, 0, 0) + forever)
 
     def write(self, frame: NDArray[np.uint8]) -> None:
-        changed = _changed(self._shown, frame)
-        if changed is not None:
+        changed = np.ones(frame.shape[:2], np.bool_)
+        if self._shown is not None and frame is not self._shown:
+            changed = (frame != self._shown).any(axis=2)
+        if frame is not self._shown and changed.any():
             self._finish()
-            rows, columns = changed
-            self._part = frame[rows, columns], (columns.start, rows.start)
+            rows, columns = (np.flatnonzero(changed.any(axis=axis)) for axis in (1, 0))
+            part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+            self._part = frame[part], changed[part], (int(columns[0]), int(rows[0]))
             self._shown, self._since = frame, self._frames
         self._frames += 1
 
@@ -190,30 +195,22 @@ class _Gif:
             return
         # Frames end at the nearest whole tick, so that the whole lasts as long as it should.
         start, end = (round(i * _GIF_TICKS / self._fps) for i in (self._since, self._frames))
-        pixels, place = self._part
+        pixels, changed, place = self._part
         image = Image.fromarray(np.ascontiguousarray(pixels))
-        few = image.getcolors(256) is not None
+        few = image.getcolors(_COLOURS) is not None
         # On images of few colours the first is exact; on others the second is as good and fast.
         way = Image.Quantize.MEDIANCUT if few else Image.Quantize.FASTOCTREE
-        reduced = image.quantize(256, way, dither=Image.Dither.NONE)
+        reduced = image.quantize(_COLOURS, way, dither=Image.Dither.NONE)
+        palette = (reduced.getpalette() or [])[: 3 * _COLOURS]
+        shown = Image.fromarray(np.where(changed, np.asarray(reduced), _COLOURS).astype(np.uint8))
+        shown.putpalette(palette + [0] * (768 - len(palette)))
         lasts = 1000 // _GIF_TICKS * min(end - start, _LONGEST)
-        options = {"duration": lasts, "disposal": 1, "include_color_table": True}
-        self._file.writelines(GifImagePlugin.getdata(reduced, place, **options))
-
-
-def _changed(
-    before: NDArray[np.uint8] | None, now: NDArray[np.uint8]
-) -> tuple[slice, slice] | None:
-    """Rows and columns in which an image differs from the one before; None: in none."""
-    if before is None:
-        return slice(0, now.shape[0]), slice(0, now.shape[1])
-    if before is now:
-        return None
-    pixels = (before != now).any(axis=2)
-    rows, columns = (np.flatnonzero(pixels.any(axis=axis)) for axis in (1, 0))
-    if len(rows) == 0:
-        return None
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+        self._file.writelines(
+            GifImagePlugin.getdata(
+                shown, place, duration=lasts, disposal=1, transparency=_COLOURS,
+                include_color_table=True,
+            )
+        )  # fmt: skip
 
 
 class _Mp4:
