@@ -100,7 +100,7 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
             stack.callback(one.env.close)
         lines: list[str] = []
         recording = None
-        watch = _unwatched
+        watch: Callable[[int, int], None] = _unwatched
         say_episode = say
         if screen:
             stack.callback(_say_all, lines, say)
