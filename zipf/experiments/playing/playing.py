@@ -33,10 +33,11 @@ from zipf.experiments.playing.sessions import (
     situation_of,
 )
 from zipf.options import Options
+from zipf.output import is_quiet
 
 if TYPE_CHECKING:
     from zipf.experiments.evaluation.evaluator import Policy
-    from zipf.experiments.evaluation.trained import Trained
+    from zipf.experiments.evaluation.trained import TrainedAgent
 
 
 def _size(value: object) -> tuple[int, int]:
@@ -151,7 +152,7 @@ def _who_plays(options: PlayOptions) -> str:
     return policy
 
 
-def _keys(options: PlayOptions, trained: Trained | None, policy: str) -> dict[str, Keys]:
+def _keys(options: PlayOptions, trained: TrainedAgent | None, policy: str) -> dict[str, Keys]:
     """The levels, which are played in turn, and what the keys of each do.
     Raises UserError: there is no such level, or nobody can play it so."""
     levels = [str(options.level)]
@@ -173,7 +174,11 @@ def _keys(options: PlayOptions, trained: Trained | None, policy: str) -> dict[st
 
 
 def _played_levels(
-    options: PlayOptions, trained: Trained | None, policy: str, keys: dict[str, Keys], seed: int
+    options: PlayOptions,
+    trained: TrainedAgent | None,
+    policy: str,
+    keys: dict[str, Keys],
+    seed: int,
 ) -> list[PlayedLevel]:
     """An env of each level."""
     level_options = trained.config.level_options if trained else {}
@@ -229,8 +234,9 @@ def _progress(
 
     limits = [one.env.time_limit for one in levels]
     longest = None if None in limits else max(limit or 0 for limit in limits)
+    shown = sys.stdout.isatty() and not is_quiet()
     columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-    with Progress(*columns, transient=True, disable=not sys.stdout.isatty()) as bar:
+    with Progress(*columns, transient=True, disable=not shown) as bar:
         task = bar.add_task("recording", total=longest and longest * episodes)
 
         def watch(episode: int, step: int) -> None:
@@ -244,7 +250,7 @@ def _progress(
 def _unwatched(episode: int, step: int) -> None: ...
 
 
-def _load(folder: str, plugins: list[str]) -> Trained:
+def _load(folder: str, plugins: list[str]) -> TrainedAgent:
     from zipf.experiments.evaluation.trained import load_agent  # takes seconds to import
 
     return load_agent(Path(folder), "cpu", plugins)
@@ -264,7 +270,7 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
         raise UserError(str(error)) from None
 
 
-def _check_spaces(level: str, env: ZipfVectorEnv, trained: Trained) -> None:
+def _check_spaces(level: str, env: ZipfVectorEnv, trained: TrainedAgent) -> None:
     # All levels of a split have the same spaces.
     known = trained.config.split.uniform[0]
     learned = envs.make_vec(known, 1, **trained.config.level_options)
