@@ -58,6 +58,7 @@ class TrainOptions(TypedDict, total=False):
     name: str | None
     loggers: Sequence[str]
     plugins: Sequence[str]
+    loggers: Sequence[str]
     seed: int
     updates: int
     run_root: str | Path
