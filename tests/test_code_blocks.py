@@ -56,6 +56,10 @@ def shell(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
                 assert "VENV ?= .venv\n" in (ROOT / "Makefile").read_text(encoding="utf-8")
             case ["ray", subcommand, *arguments]:
                 scripts.cli.commands[subcommand].make_context(subcommand, arguments)
+            case ["docker", "build", "-t", "zipf", "."]:
+                assert 'ENTRYPOINT ["zipf"]\n' in (ROOT / "Dockerfile").read_text(encoding="utf-8")
+            case ["docker", "run", *_, "zipf", "train", option]:
+                loading.load([option])
             case ["tensorboard", "--logdir", "runs"]:
                 assert entry_points(group="console_scripts", name="tensorboard")
             case _:

@@ -81,7 +81,7 @@ def test_python_code_runs(page, code, in_folder):
 
 
 def test_there_is_code_to_run():
-    assert len(blocks("python", "README.md")) >= 3
+    assert len(blocks("python", "README.md")) >= 2
     assert len(commands("zipf.train")) >= 20
     assert {"bandit.py", "configs/experiment/bandit.yaml"} <= set(files("docs/your_own_world.md"))
 
@@ -164,7 +164,7 @@ def test_play_commands_are_accepted():
 def test_report_commands_are_accepted(monkeypatch):
     calls = []
 
-    def report(folders, output, window, *, record, format, html):
+    def report(folders, output, window, *, record, format, html, **_):
         calls.append((folders, output, window and parse_window(window), record, format, html))
 
     monkeypatch.setattr(zipf.report, "report", report)
@@ -342,7 +342,7 @@ def test_the_table_explains_every_choice(group):
 
 
 def test_the_readme_is_short():
-    assert len(TEXT["README.md"].splitlines()) <= 250
+    assert len(TEXT["README.md"].splitlines()) <= 220
     linked = set(re.findall(r"\]\((docs/[\w/-]+\.md)\)", TEXT["README.md"])) - {RECORD}
     families = {f"docs/environments/{name}.md" for name in envs.families()}
     assert linked == {page for page in DOCS if page.count("/") == 1} | families
