@@ -15,34 +15,37 @@ FIXED_COLOURS = np.array(
 )
 """Colours of the parts of meshes from part 2 on: dark, light, wood, green."""
 
-_LINE = 2 * SIZE  # texels in a line of a texture and of its smaller versions together
-
 
 def pack_textures(textures: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    """Textures and their smaller versions as texels 0xAABBGGRR, uint32 [K, 64 * 128].
+    """Textures and their smaller versions as texels 0xAABBGGRR, uint32 [K, 2 * SIZE * SIZE].
 
-    A line of a texture is followed by a line of its half, its quarter and so on: line y of level n
-    begins at texel y * 128 + 128 - (128 >> n). The colours of smaller versions are averages over
-    the texels that are not holes.
+    Version n is half as large as the one before it, and begins at texel SIZE * SIZE >> 2 * n. All
+    are smoothed by a filter as wide as two of their texels, so that a pixel that covers two texels
+    of a version may show any one of them. The colours are averages over what is not a hole.
     """
-    packed = np.zeros((len(textures), SIZE, _LINE), np.uint32)
-    alpha = textures[..., 3:] / 255.0
+    packed = np.zeros((len(textures), 2 * SIZE * SIZE), np.uint32)
+    alpha = textures[..., 3:] / np.float32(255)
     colour = textures[..., :3] * alpha
-    level = 0
+    size = SIZE
     while True:
-        size = SIZE >> level
-        rgb = np.round(colour / np.maximum(alpha, 1e-6)).astype(np.uint32)
-        opaque = (np.round(alpha[..., 0] * 255)).astype(np.uint32)
-        start = _LINE - (_LINE >> level)
-        packed[:, :size, start : start + size] = (
-            rgb[..., 0] | rgb[..., 1] << 8 | rgb[..., 2] << 16 | opaque << 24
-        )
+        opaque, rgb = _smooth(alpha), _smooth(colour)
+        rgb = np.round(rgb / np.maximum(opaque, 1e-6)).astype(np.uint32)
+        opaque = np.round(opaque[..., 0] * 255).astype(np.uint32)
+        texels = rgb[..., 0] | rgb[..., 1] << 8 | rgb[..., 2] << 16 | opaque << 24
+        packed[:, size * size : 2 * size * size] = texels.reshape(len(textures), -1)
         if size == 1:
-            return packed.reshape(len(textures), -1)
+            return packed
+        size //= 2
         colour, alpha = (
-            a.reshape(len(a), size // 2, 2, size // 2, 2, -1).mean((2, 4)) for a in (colour, alpha)
+            a.reshape(len(a), size, 2, size, 2, -1).mean((2, 4)) for a in (colour, alpha)
         )
-        level += 1
+
+
+def _smooth(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Every texel of images [K, H, W, C] mixed with its neighbours; images repeat."""
+    for axis in (1, 2):
+        image = (np.roll(image, 1, axis) + 2 * image + np.roll(image, -1, axis)) / 4
+    return image
 
 
 @cache

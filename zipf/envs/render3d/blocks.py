@@ -17,6 +17,9 @@ from numba.extending import intrinsic as _intrinsic
 
 from zipf.compiled import compiled
 from zipf.envs.render3d.lanes import ADDRESS, BYTE, F32, FLOAT, I32, INT, LANES, Code, written
+from zipf.envs.render3d.textures import SIZE
+
+TEXTURE = (2 * SIZE * SIZE).bit_length() - 1  # binary logarithm of the texels of a texture
 
 intrinsic: Any = _intrinsic  # its annotations do not say that it returns a function
 
@@ -51,8 +54,7 @@ def wall_block(
         with builder.if_then(mask.any()):
             t, dim = code.distance(inverse, fade)
             iu, iv = ((splat(a) + splat(da) * place) * t for a, da in ((u, du), (v, dv)))
-            index = code.texel(splat(area) * (t * t * t), iu, iv)
-            texel = code.look_up(texels, index, INT)
+            texel = code.sample(texels, splat(area) * (t * t * t), iu, iv)
             mask = mask & ((texel | splat(solid)) < 0)
             paint = code.shade(texel, [dim * splat(c) for c in (red, green, blue)])
             code.keep(mask, inverse, depth, paint, colour)
@@ -115,14 +117,14 @@ def _flat(patchwork: bool) -> Callable[..., Any]:
         mask = (column <= splat(last)) & (splat(z) > code.load(depth, FLOAT))
         with builder.if_then(mask.any()):
             iu, iv = (splat(a) + splat(da) * place for a, da in ((u, du), (v, dv)))
-            index = code.texel(splat(each), iu, iv)
+            start = None
             if patchwork:
                 ic = (splat(c) + splat(dc) * place).truncated().most(0).least(splat(columns) - 1)
                 ir_ = (splat(r) + splat(dr) * place).truncated().most(0).least(splat(rows) - 1)
                 tile = code.look_up(tiles, ir_ * splat(columns) + ic, ir.IntType(16))
                 mask = mask & (tile >= 0)
-                index = index + (tile.most(0) << 13)
-            texel = code.look_up(texels, index, INT)
+                start = tile.most(0) << TEXTURE
+            texel = code.sample(texels, splat(each), iu, iv, start)
             mask = mask & ((texel | splat(solid)) < 0)
             paint = code.shade(texel, [splat(factor) for factor in (red, green, blue)])
             code.keep(mask, splat(z), depth, paint, colour)
@@ -343,7 +345,7 @@ def terrain_block(
             lit = code.look_up(light, triangle, INT).as_floats() * dim
             each = code.look_up(area, triangle, INT).as_floats() * (t * t * t)
             look = code.look_up(looks, triangle >> 1, ir.IntType(16)).most(0)
-            texel = code.look_up(texels, code.texel(each, iu, iv) + (look << 13), INT)
+            texel = code.sample(texels, each, iu, iv, look << TEXTURE)
             paint = code.shade(texel, [lit * splat(c) for c in (red, green, blue)])
             code.store(mask.choose(paint, number), colour)
 
@@ -386,7 +388,7 @@ def pattern_block(
             unused = code.look_up(axis, triangle, INT)
             u, v = (unused < 1).choose(at_y, at_x), (unused > 1).choose(at_y, at_z)
             each = code.look_up(area, triangle, INT).as_floats() * (t * t * t)
-            texel = code.look_up(texels, code.texel(each, u, v), INT)
+            texel = code.sample(texels, each, u, v)
             light = code.look_up(lit, triangle, INT).as_floats()
             share = (texel & 255).floats_() * (1 / 255)
             paint = number.like(0)

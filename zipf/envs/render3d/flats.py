@@ -18,6 +18,7 @@ from zipf.envs.render3d.optics import (
 from zipf.envs.render3d.rounding import ceil, floor
 from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED
 from zipf.envs.render3d.spans import narrow_rows
+from zipf.envs.render3d.textures import SIZE
 
 
 @compiled(references=False, error_model="numpy", fastmath=True)
@@ -56,8 +57,8 @@ def draw_flat(
     light = light_on(0.0, 0.0, 1.0 if up < 0.0 else -1.0, SURFACE_DARK, SURFACE_SUN, sun)
     per_column = columns / (east - west)
     per_row = rows / (north - south)
-    per_u = 64.0 / repeat if repeat > 0.0 else 64.0 * max(columns, 1) / (east - west)
-    per_v = 64.0 / repeat if repeat > 0.0 else 64.0 * max(rows, 1) / (north - south)
+    per_u = SIZE / repeat if repeat > 0.0 else SIZE * max(columns, 1) / (east - west)
+    per_v = SIZE / repeat if repeat > 0.0 else SIZE * max(rows, 1) / (north - south)
     area = per_u * per_v * da * da / abs(up)
     lit_red, lit_green, lit_blue = lamp[0] * tint[0], lamp[1] * tint[1], lamp[2] * tint[2]
     solid = 0 if flags & SEE_THROUGH else OPAQUE

@@ -20,6 +20,7 @@ from zipf.envs.render3d.optics import (
 from zipf.envs.render3d.rounding import ceil, floor
 from zipf.envs.render3d.scene import SCREEN, SEE_THROUGH, TWO_SIDED
 from zipf.envs.render3d.spans import narrow_rows
+from zipf.envs.render3d.textures import SIZE
 
 
 @compiled(references=False, error_model="numpy", fastmath=True)
@@ -92,8 +93,8 @@ def draw_wall(
             low, high, colour, depth,
         )  # fmt: skip
         return
-    per_u = 64.0 / repeat[0] if repeat[0] > 0.0 else 64.0 / (length + 2 * GROW)
-    per_v = 64.0 / repeat[1] if repeat[1] > 0.0 else 64.0 / (tall + 2 * GROW)
+    per_u = SIZE / repeat[0] if repeat[0] > 0.0 else SIZE / (length + 2 * GROW)
+    per_v = SIZE / repeat[1] if repeat[1] > 0.0 else SIZE / (tall + 2 * GROW)
     shift_u = 0.0 if repeat[0] > 0.0 else GROW
     shift_v = 0.0 if repeat[1] > 0.0 else GROW
     u, du_row, du = (
