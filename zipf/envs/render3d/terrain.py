@@ -15,10 +15,10 @@ from zipf.compiled import compiled
 from zipf.envs.render3d.blocks import address, cell_block, terrain_block, vertex_block
 from zipf.envs.render3d.lanes import LANES
 from zipf.envs.render3d.optics import FADE2, MESH_DARK, MESH_SUN, NEAR, light_on
+from zipf.envs.render3d.textures import SIZE
 from zipf.envs.render3d.triangles import draw_cut_triangle, draw_triangle
 
 _GROW = np.float32(1e-3)  # pixels: triangles that reach far outside the image are rounded more
-from zipf.envs.render3d.textures import SIZE
 
 
 def terrain_buffers(rows: int, columns: int) -> tuple[NDArray[Any], ...]:

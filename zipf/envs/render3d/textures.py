@@ -129,6 +129,44 @@ def fence(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
     return image
 
 
+def skirting(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+    """A board with a bead along its top."""
+    return painted(colour, 0.94 + 0.06 * (Y < 14) - 0.25 * ((Y >= 14) & (Y < 20)))
+
+
+def window(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+    """A frame with four panes, through which hills and the sky are seen."""
+    edge = np.minimum(np.minimum(X, 63 - X), np.minimum(Y, 63 - Y))
+    bars = np.minimum(abs(X - 31.5), abs(Y - 31.5))
+    frame = painted(colour, 1 - 0.15 * ((edge >= 3) & (edge < 4.5)) - 0.12 * (Y > 60))
+    sky = np.stack([150 + Y, 190 + 0.7 * Y, 232 + 0.2 * Y], -1)
+    hills = 42 + 4 * np.sin(X / 9) + 2 * np.sin(X / 4 + 1) < Y
+    meadow = np.array((112, 158, 96)) * (1 + 0.004 * (Y[..., None] - 50))
+    frame[..., :3] = np.where(
+        ((edge < 4.5) | (bars < 1.5))[..., None],
+        frame[..., :3],
+        np.where(hills[..., None], meadow, np.clip(sky, 0, 255)),
+    )
+    return frame
+
+
+def picture(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+    """A boat on the sea under the sun, in a frame with a mount."""
+    edge = np.minimum(np.minimum(X, 63 - X), np.minimum(Y, 63 - Y))
+    image = painted(colour, 1 - 0.3 * ((edge >= 3.5) & (edge < 4.5)))
+    for where, paint in (
+        (edge >= 4.5, (236, 232, 222)),
+        (edge >= 10, (196, 214, 222)),
+        ((edge >= 10) & (np.hypot(X - 46, Y - 20) < 4.5), (226, 178, 92)),
+        ((edge >= 10) & (42 + np.sin(X / 2) < Y), (96, 136, 158)),
+        ((abs(X - 28) < 11 - 0.8 * (Y - 38)) & (Y >= 38) & (Y < 44), (134, 92, 66)),
+        ((X >= 28.5) & (X - 28.5 < 0.45 * (Y - 16)) & (Y < 36.5), (214, 204, 186)),
+        ((X < 27) & (27 - X < 0.35 * (Y - 20)) & (Y < 36.5), (186, 120, 100)),
+    ):
+        image[where, :3] = paint
+    return image
+
+
 _TEXTURES: dict[str, tuple[Callable[..., NDArray[np.uint8]], tuple[int, int, int]]] = {
     "plaster": (plaster, (222, 214, 200)),
     "plaster_blue": (plaster, (176, 192, 210)),
@@ -150,6 +188,9 @@ _TEXTURES: dict[str, tuple[Callable[..., NDArray[np.uint8]], tuple[int, int, int
     "ceiling": (plaster, (236, 234, 228)),
     "white": (plaster, (245, 245, 245)),
     "fence": (fence, (150, 112, 74)),
+    "skirting": (skirting, (236, 230, 218)),
+    "window": (window, (240, 238, 232)),
+    "picture": (picture, (120, 88, 60)),
 }
 
 NAMES: tuple[str, ...] = tuple(_TEXTURES)
