@@ -48,6 +48,11 @@ def _smooth(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return image
 
 
+_ROUND = np.cos(np.radians(50))
+"""Between triangles whose normals differ by a larger angle there is an edge: a prism of eight sides
+is round, one of six is not. Ours."""
+
+
 @cache
 def prepare_meshes(meshes: MeshAtlas) -> tuple[NDArray[Any], ...]:
     """An atlas as the fields of `arrays.Meshes`, which all its renderers share."""
@@ -56,6 +61,7 @@ def prepare_meshes(meshes: MeshAtlas) -> tuple[NDArray[Any], ...]:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     planes = np.concatenate([normals, (normals * corners[:, 0]).sum(1, keepdims=True)], axis=1)
+    rounded = _rounded_normals(meshes, normals, corners)
     balls = np.zeros((len(meshes.names), 4), np.float32)
     for ball, first, last in zip(
         balls, meshes.first_vertex[:-1], meshes.first_vertex[1:], strict=True
@@ -68,11 +74,32 @@ def prepare_meshes(meshes: MeshAtlas) -> tuple[NDArray[Any], ...]:
         _lines(meshes.vertices),
         np.ascontiguousarray(local, np.int32),
         _lines(planes),
+        _lines(np.insert(rounded.reshape(-1, 3), 3, -1.0, axis=1)),
+        (np.abs(rounded - normals[:, None]).max((1, 2)) > 1e-3).astype(np.uint8),
         np.ascontiguousarray(meshes.parts, np.uint8),
         np.ascontiguousarray(meshes.first_vertex, np.int32),
         np.ascontiguousarray(meshes.first_triangle, np.int32),
         balls,
     )
+
+
+def _rounded_normals(
+    meshes: MeshAtlas, normals: NDArray[Any], corners: NDArray[Any]
+) -> NDArray[np.float64]:
+    """The normals of round surfaces at the corners of triangles, [T, 3, 3]: at each the mean of the
+    triangle's and its neighbours', weighted by their areas, but for those beyond an edge."""
+    areas = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    around: dict[int, list[int]] = {}
+    for corner, vertex in enumerate(meshes.triangles.ravel().tolist()):
+        around.setdefault(vertex, []).append(corner // 3)
+    rounded = np.empty((len(normals), 3, 3))
+    for corner, vertex in enumerate(meshes.triangles.ravel().tolist()):
+        own, others = normals[corner // 3], around[vertex]
+        near = normals[others] @ own > _ROUND
+        rounded[corner // 3, corner % 3] = (areas[others] * near) @ normals[others]
+    return rounded / np.maximum(np.linalg.norm(rounded, axis=2, keepdims=True), 1e-12)
 
 
 def _lines(rows: NDArray[Any]) -> NDArray[np.float32]:

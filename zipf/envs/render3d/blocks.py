@@ -317,6 +317,30 @@ def triangle_block(
 
 
 @intrinsic
+def smooth_triangle_block(
+    typingctx, colour, depth, x, z, dz, a, da, b, db, c, dc, light, dlight, red, green, blue
+):  # fmt: skip
+    """Like `triangle_block`, in a colour 0 .. 255 in a light that is affine in x, 0 .. 1."""
+
+    def write(builder, colour, depth, x, z, dz, a, da, b, db, c, dc, light, dlight, red, green,
+              blue):  # fmt: skip
+        code = Code(builder, TRIANGLE_LANES)
+        splat = code.splat
+        place = code.columns(x).floats_()
+        inverse = splat(z) + splat(dz) * place
+        mask = inverse > code.load(depth, FLOAT)
+        for start, step in ((a, da), (b, db), (c, dc)):
+            mask = mask & (splat(start) + splat(step) * place > 0.0)
+        lit = (splat(light) + splat(dlight) * place).most(0.0).least(1.0)
+        paint = (splat(red) * lit).truncated()
+        paint = paint | (splat(green) * lit).truncated() << 8
+        paint = paint | (splat(blue) * lit).truncated() << 16
+        code.keep(mask, inverse, depth, paint, colour)
+
+    return written([ADDRESS, ADDRESS, I32] + [F32] * 13, write)
+
+
+@intrinsic
 def cell_block(typingctx, south, north, line, kinds, right, bottom, near, side):
     """Writes the kinds of 16 cells of a terrain: 0 invisible, 2 cut by the near plane, 1 other.
 

@@ -220,8 +220,8 @@ class Code:
     def _mixed(self, one: Vector, two: Vector, share: Vector) -> Vector:
         """Two colours mixed: so many 256ths of the second."""
         rest = share.like(256) - share
-        evens = (one & 0xFF00FF) * rest + (two & 0xFF00FF) * share
-        odds = ((one >> 8) & 0xFF00FF) * rest + ((two >> 8) & 0xFF00FF) * share
+        evens = (one & 0xFF00FF) * rest + (two & 0xFF00FF) * share + 0x800080
+        odds = ((one >> 8) & 0xFF00FF) * rest + ((two >> 8) & 0xFF00FF) * share + 0x800080
         return ((evens >> 8) & 0xFF00FF) | (odds & -0xFF0100)
 
     def shade(self, texels: Vector, light: Sequence[Vector]) -> Vector:

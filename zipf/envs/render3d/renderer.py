@@ -107,6 +107,7 @@ class Renderer:
             (
                 np.zeros((6, self._most_vertices + LANES), np.float32),
                 np.zeros(self._most_triangles + LANES, np.float32),
+                np.zeros(3 * self._most_triangles + LANES, np.float32),
                 np.zeros(self._most_triangles + 1, np.int32),
                 np.zeros(self._most_triangles + LANES, np.int32),
                 np.zeros(self._most_triangles + LANES, np.float32),

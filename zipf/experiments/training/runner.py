@@ -250,6 +250,8 @@ class Run:
                 "precision=bfloat16: this device has no instructions for it and takes several "
                 "times as long as with precision=float32"
             )
+        if self.learner.is_first and (line := run_folder.other_images(self.folder)):
+            self._tell(line)
         if self._pretrained:
             self._tell(pretrained.message(self._pretrained))
         for note in self._notes:
