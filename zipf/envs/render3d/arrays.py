@@ -98,7 +98,7 @@ class Meshes(NamedTuple):
 class Assets(NamedTuple):
     """Textures and meshes, the same for all envs."""
 
-    texels: Any  # uint32 [K, 64 * 128], see `pack_textures`
+    texels: Any  # uint32 [K, 2 * 128 * 128], see `pack_textures`
     meshes: Meshes
     fixed_colours: Any
     """uint8 [4, 3]: of the parts of meshes from 2 on."""
