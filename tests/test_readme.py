@@ -26,7 +26,7 @@ from zipf.experiments.training import runner
 
 FOLDERS = ("configs/", "docs/", "examples/", "scripts/", "tests/", "zipf/")
 NOT_PATHS = {family.id for family in family.families().values()}
-TAKES_LONG = re.compile(r"\.learn\(|floors\.search\(|check_vector_env\(").search
+TAKES_LONG = re.compile(r"\.learn\(|zipf\.train\(|floors\.search\(|check_vector_env\(").search
 """Code that trains, searches or checks."""
 FLAGS = {"-m", "--multirun", "--help"}
 
@@ -261,6 +261,7 @@ COMMON = {
     "zipf.compiled",
     "zipf.protocol",
     "zipf.errors",
+    "zipf.lazy",
     "zipf.output",
     "zipf.registry",
 }
@@ -273,13 +274,14 @@ MAY_IMPORT = {
 ROOMS = [
     "records",
     "hooks",
+    "loggers",
     "options",
     "building",
     "reporting",
     "evaluation",
+    "playing",
     "training",
     "cluster",
-    "playing",
     "sweeping",
 ]
 for i, room in enumerate(ROOMS[1:], 1):

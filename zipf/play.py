@@ -5,9 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 
-from zipf.experiments.options.command_line import read_options
-from zipf.experiments.playing.playing import PlayOptions, play
-from zipf.output import run_command
+from zipf.output import is_quiet, run_command
 
 __all__ = ["main"]
 
@@ -44,6 +42,7 @@ Options:
     screen=NAME     window (pip install ".[human]" in a clone of zipf), terminal, or auto: a window
                     if possible; default: auto
     plugins=NAMES   modules to import, for envs and agents from outside the package; default: none
+    --quiet, -q     print nothing but warnings and errors
 """
 
 
@@ -53,9 +52,14 @@ def main() -> None:
 
 
 def _play(arguments: list[str]) -> None:
+    # Here, because help needs none of these.
+    from zipf.experiments.options.command_line import read_options
+    from zipf.experiments.playing.playing import PlayOptions, play
+
     for number in (signal.SIGTERM, signal.SIGHUP):  # leave a terminal and a recording in order
         signal.signal(number, _exit)
-    play(read_options(PlayOptions, arguments), lambda line: print(line, flush=True))
+    options = read_options(PlayOptions, arguments)
+    play(options, (lambda line: None) if is_quiet() else lambda line: print(line, flush=True))
 
 
 def _exit(number: int, frame: object) -> None:

@@ -1,4 +1,5 @@
-"""`python -m zipf.report FOLDER...`: the paper's tables and plots of the runs in these folders.
+"""The paper's tables and plots of runs: `python -m zipf.report FOLDER...`, and in Python
+`zipf.report("runs/")`.
 
 Reads result files only, no checkpoints, but for `videos=`.
 """
@@ -10,6 +11,7 @@ import shlex
 import sys
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,10 +19,14 @@ from pydantic import Field
 
 from zipf.errors import UserError
 from zipf.experiments.records.wording import PlotFormat, VideoFormat
+from zipf.lazy import callable_as
 from zipf.options import Options
-from zipf.output import run_command
+from zipf.output import console, is_quiet, run_command
 
 if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
     from zipf.experiments.reporting.claims import ClaimLine
     from zipf.experiments.reporting.seed_statistics import SeedStatistics
     from zipf.experiments.reporting.tables import ScoreTable
@@ -63,7 +69,8 @@ Options:
                     folder, as gif or mp4; the page of html=, which it implies, shows the videos
                     that there are; default: no videos
     plugins=NAMES   with videos=: modules to import, for environments and agents from outside the
-                    package; default: none"""
+                    package; default: none
+    --quiet, -q     print nothing but warnings and errors"""
 
 
 class ReportOptions(Options):
@@ -78,11 +85,13 @@ class ReportOptions(Options):
     plugins: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Report:
-    """What a report holds, and its files in the order in which they should be shown.
+    """What a report holds. A notebook shows its tables.
 
     Attributes:
+        tables: one for each experiment; more where runs of an experiment cannot be compared.
+        files: that were written, in the order in which they should be shown.
         claims: of the paper, with what the tables say about each.
         statistics: across seeds, of each table.
     """
@@ -92,36 +101,79 @@ class Report:
     claims: tuple[ClaimLine, ...]
     statistics: tuple[SeedStatistics, ...]
 
+    def __repr__(self) -> str:
+        runs = sum(len(table.runs) for table in self.tables)
+        names = ", ".join(table.title for table in self.tables)
+        return f"Report({runs} run{'s' if runs > 1 else ''}: {names})"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The scores, a line for each row of a table and each kind of levels, and further ones for
+        single levels; the columns are those of `report.csv`, see docs/results.md."""
+        from zipf.experiments.reporting.tables import report_frame
+
+        return report_frame(self.tables)
+
+    def figures(self) -> dict[str, Figure]:
+        """The figures, drawn when this is called, by the names that their files have: the table's
+        and the figure's, such as `demo_learning`."""
+        from zipf.experiments.reporting import draw_matplotlib
+
+        with draw_matplotlib.style():
+            drawn = draw_matplotlib.figures(self.tables)
+            return {f"{table}_{kind}": figure for table, kind, figure in drawn}
+
+    def _repr_html_(self) -> str:
+        import pandas as pd
+
+        from zipf.experiments.reporting.grids import caption, main_grid
+
+        shown = []
+        for table in self.tables:
+            grid = main_grid(table)
+            lines = [[*line.leading, *line.ours] for line in (*grid.lines, *grid.baselines)]
+            cells = pd.DataFrame(lines, columns=[*grid.leading, *grid.columns])
+            notes = "".join(f"<br>{escape(one)}" for one in (caption(table), *table.notes))
+            shown.append(
+                f"<b>{escape(table.title)}</b>{cells.to_html(index=False, border=0)}"
+                f"<small>{notes.removeprefix('<br>')}</small>"
+            )
+        return "<br>".join(shown)
+
 
 def report(
-    folders: Sequence[str | Path],
+    folders: str | Path | Sequence[str | Path],
     output: str | Path | None = None,
     window: str | None = None,
     *,
     record: str | Path | None = None,
     format: PlotFormat = "png",
     html: str | Path | None = None,
+    show: bool = False,
 ) -> Report:
-    """Print the tables of all runs under `folders` and write them, with plots, to files.
+    """The tables of all runs under `folders`; with plots they are written to files where `output`
+    says so.
+
+        made = zipf.report("runs/")
+        made.to_dataframe()
+        made.figures()["demo_learning"]
 
     Args:
-        folders: run folders, or folders with runs at any depth.
-        output: where `report.md`, `.tex`, the CSV files and the plots go; `<first folder>/report`
-            if None.
+        folders: a run's folder, or one with runs at any depth; or several of them.
+        output: a folder where `report.md`, `.tex`, the CSV files and the plots go; None: they are
+            not written.
         window: `START:END` in updates, `last`, `last:N`, `scaled` or `own`; each experiment's own
             if None.
         record: also write all tables, and what each run was, to this Markdown file; and after them
             the Markdown files in `folders` themselves, not further down.
         format: of the plots.
         html: also write everything, with interactive plots, to this file, a page that needs no
-            other; "" is `report.html` in `output`.
+            other; "" is `report.html` in `output`, or in the current folder.
+        show: also print the tables, and which files were written.
 
     Raises:
         UserError: no run there, a damaged file, an unknown window, a page whose name does not end
             in .html, or a file cannot be read or written.
     """
-    from rich.console import Console
-
     from zipf.experiments.records import results
     from zipf.experiments.reporting import draw_matplotlib, latex, markdown, tables, terminal
     from zipf.experiments.reporting.claims import check_claims, csv_claims
@@ -133,42 +185,47 @@ def report(
     from zipf.experiments.reporting.side_by_side import side_by_side
 
     chosen = _checked(window, html)
-    target = Path(output) if output is not None else Path(folders[0]) / "report"
+    folders = [folders] if isinstance(folders, str | Path) else folders
+    target = None if output is None else Path(output)
     found = tables.score_tables(results.load_runs(folders), chosen)
-    pages = [] if record is None else _pages(folders, [target / "report.md", Path(record)])
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=120)
-    for table in found:
-        terminal.print_table(table, console)
-        console.print()
-    for beside in side_by_side(found):
-        if len(beside.tables) > 1:  # the others would be printed a second time
-            terminal.print_side_by_side(beside, console)
-            console.print()
+    pages = (
+        [] if record is None else _pages(folders, [(target or Path()) / "report.md", Path(record)])
+    )
     claims = check_claims(found)
-    terminal.print_claims(claims, console)
+    if show:
+        shown = console()
+        for table in found:
+            terminal.print_table(table, shown)
+            shown.print()
+        for beside in side_by_side(found):
+            if len(beside.tables) > 1:  # the others would be printed a second time
+                terminal.print_side_by_side(beside, shown)
+                shown.print()
+        terminal.print_claims(claims, shown)
     frames = [statistics_frame(table) for table in found]
     statistics = [seed_statistics(table, frame) for table, frame in zip(found, frames, strict=True)]
 
+    texts: dict[Path, str] = {}
+    drawn: dict[str, list[Path]] = {}
     try:
-        target.mkdir(parents=True, exist_ok=True)
-        _remove_earlier_plots(target)
-        drawn = draw_matplotlib.draw(found, target, format)
-        texts = {
-            target / "report.md": markdown.markdown_report(found, drawn, claims, statistics),
-            target / "report.tex": latex.latex_report(found, statistics),
-            target / "report.csv": tables.csv_report(found),
-            target / "claims.csv": csv_claims(claims),
-            target / "statistics.csv": csv_statistics(frames),
-        }
+        if target is not None:
+            target.mkdir(parents=True, exist_ok=True)
+            _remove_earlier_plots(target)
+            drawn = draw_matplotlib.draw(found, target, format)
+            texts = {
+                target / "report.md": markdown.markdown_report(found, drawn, claims, statistics),
+                target / "report.tex": latex.latex_report(found, statistics),
+                target / "report.csv": tables.csv_report(found),
+                target / "claims.csv": csv_claims(claims),
+                target / "statistics.csv": csv_statistics(frames),
+            }
         if record is not None:
             command = _command(folders, output, window, record)
             texts[Path(record)] = markdown.record(found, command, pages, claims, statistics)
         if html is not None:
             from zipf.experiments.reporting.html import page, report_sections
 
-            place = Path(html) if html != "" else target / "report.html"
+            place = Path(html) if html != "" else (target or Path()) / "report.html"
             texts[place] = page(report_sections(found, claims, statistics))
         for path, text in texts.items():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -181,11 +238,11 @@ def report(
     if len(drawn) > 1:  # more files than one wants to read the names of
         written = [path.as_posix() for path in texts]
         written += [
-            f"{(target / name).as_posix()}_*.{format}: {len(paths)} figures"
+            f"{paths[0].parent.as_posix()}/{name}_*.{format}: {len(paths)} figures"
             for name, paths in drawn.items()
         ]
-    for line in written:
-        console.print(f"Wrote {line}", highlight=False, markup=False, soft_wrap=True)
+    for line in written if show else ():
+        shown.print(f"Wrote {line}", markup=False, soft_wrap=True)
     return Report(tuple(found), files, tuple(claims), tuple(statistics))
 
 
@@ -230,12 +287,17 @@ def _command(
     folders: Sequence[str | Path], output: str | Path | None, window: str | None, record: str | Path
 ) -> str:
     arguments = [Path(folder).as_posix() for folder in folders]
-    if output is not None:
+    if output is not None and Path(output) != _usual_output(folders):
         arguments.append(f"output={Path(output).as_posix()}")
     if window is not None:
         arguments.append(f"window={window}")
     arguments.append(f"record={Path(record).as_posix()}")
     return shlex.join(["python", "-m", "zipf.report", *arguments])
+
+
+def _usual_output(folders: Sequence[str | Path]) -> Path:
+    """Where the command writes to, if it is not told."""
+    return Path(folders[0]) / "report"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -259,17 +321,21 @@ def _report(words: list[str]) -> None:
         from zipf.experiments.playing.videos import record_videos
 
         _checked(options.window, html)
-        record_videos(folders, options.videos, module_names(options.plugins), print)
+        say = (lambda line: None) if is_quiet() else print
+        record_videos(folders, options.videos, module_names(options.plugins), say)
         html = html or ""
     report(
         folders,
-        options.output,
+        options.output or _usual_output(folders),
         options.window,
         record=options.record,
         format=options.format,
         html=html,
+        show=True,
     )
 
+
+callable_as(__name__, report)
 
 if __name__ == "__main__":
     sys.exit(main())

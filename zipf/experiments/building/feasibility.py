@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -31,6 +32,8 @@ from zipf.registry import registries
 
 def problems(config: Config) -> Iterator[str]:
     """The problems of options that are each valid by themselves, one line each."""
+    if sys.platform == "win32":
+        yield "training needs Linux or macOS: on Windows, run it in WSL"
     start, end = config.schedule.window
     if start > end:
         yield f"schedule.window=[{start}, {end}]: should begin before it ends"
@@ -63,7 +66,11 @@ def problems(config: Config) -> Iterator[str]:
             f"learning_rate_decay={config.learning_rate_decay}: agent={config.agent.name} has no "
             "learning rate; choose null"
         )
-    parts = {group: getattr(config, group) for group in registries()}
+    parts = {
+        group: getattr(config, group)
+        for group, registry in registries().items()
+        if not registry.several
+    }
     family = envs.family_of_split(config.environment.split)
     context = Context(
         family.name,
@@ -73,7 +80,8 @@ def problems(config: Config) -> Iterator[str]:
         parts,
         config.updates_per_unroll,
     )
-    found = [line for options in parts.values() for line in options.problems(context)]
+    checked = [*parts.values(), *config.loggers.values()]
+    found = [line for options in checked for line in options.problems(context)]
     found += unsupported(config.agent.name, parts)
     yield from found
     yield from _reads_itself(config)

@@ -312,6 +312,14 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
         key, text = override.key_or_group, str(override.input_line)
         if override.is_delete():
             problems.append(f"{text}: options cannot be deleted; give another value")
+        elif key in config_files.several():
+            value = override.value()
+            chosen = [str(one) for one in (value if isinstance(value, list) else [value])]
+            for one in chosen:
+                if one not in choices(key):
+                    hint = f"{nearest(one, choices(key))}; {key}=[] for none"
+                    problems.append(f"{key}=[{one}]: no such {key.removesuffix('s')}; {hint}")
+            known += [text] if set(chosen) <= set(choices(key)) else []
         elif key in available:
             value = str(override.value())
             if key == "experiment" and experiment not in (None, value):
@@ -348,7 +356,9 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
         else:
             group = key.partition(".")[0]
             part = values.get(group)
-            if owners := _owners(key):
+            if name := _not_chosen(key, values):
+                hint = f"choose it: {group}=[{','.join([*(part or {}), name])}]"
+            elif owners := _owners(key):
                 hint = f"{group}={'|'.join(owners)} has it"
             elif isinstance(part, dict) and list(part) == ["name"]:  # a choice such as none
                 chosen = part["name"]
@@ -358,6 +368,14 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
                 hint = nearest(key, [*accepted, "sweep"])
             problems.append(f"{key}: no such option; {hint}")
     return known, problems
+
+
+def _not_chosen(option: str, values: dict[str, Any]) -> str:
+    """Of a group with several choices the one whose option this is; empty where it is chosen."""
+    group, _, option = option.partition(".")
+    name = option.partition(".")[0]
+    there = group in config_files.several() and name in choices(group)
+    return name if there and name not in (values.get(group) or {}) else ""
 
 
 def _misspelt(keys: Iterable[str]) -> dict[str, str]:

@@ -142,13 +142,22 @@ def _written(composed: Composed) -> Iterator[tuple[str, Origin]]:
             if value == "???" or option.startswith(("defaults", "hydra.")):
                 continue
             full = f"{package}.{option}" if package else option
-            if option == "name" and package == group:
-                yield full, _chosen(group, name, layers.chosen.get(group, ""))
+            if option == "name" and package in (group, config_files.package(group, name)):
+                by = layers.chosen.get(group, "")
+                if group in config_files.several():  # of which Hydra does not tell
+                    by = [one for one, _ in layers.configs if _chooses(one, group)][-1]
+                yield full, _chosen(group, name, by)
             elif written is None:
                 yield full, _registered(group, name, option, value)
             else:
                 place = written.places.get(option, written.place)
                 yield full, Origin(full, value, place, comment=place.comment)
+
+
+def _chooses(config: str, group: str) -> bool:
+    """Whether a configuration has the choices of a group."""
+    written = composing.config(config)[1]
+    return written is not None and f"choose.{group}" in written.places
 
 
 def _chosen(group: str, choice: str, by: str) -> Origin:
@@ -172,8 +181,11 @@ def _registered(group: str, name: str, option: str, value: Any) -> Origin:
 
 def _default(config: Config, option: str) -> Origin:
     """An option that no configuration has."""
-    part, _, name = option.rpartition(".")
-    return _of_class(type(getattr(config, part) if part else config), name)
+    *parts, name = option.split(".")
+    of: Any = config
+    for part in parts:
+        of = of[part] if isinstance(of, dict) else getattr(of, part)
+    return _of_class(type(of), name)
 
 
 def _of_class(options: type[Options], name: str) -> Origin:
@@ -203,6 +215,8 @@ def _given(word: str, known: dict[str, Origin], options: list[str]) -> dict[str,
         keys = [f"{key}.{option}" for option in flatten(value)]
     elif key in config_files.parts():
         keys = [f"{key}.name"]
+    elif key in config_files.several():
+        keys = [f"{key}.{name}.name" for name in (value if isinstance(value, list) else [value])]
     else:
         keys = ["condition" if key == "name" else key]
     found = {}

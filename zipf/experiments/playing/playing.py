@@ -21,7 +21,7 @@ from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import Policy
 from zipf.experiments.evaluation.scripted import ScriptedPolicy
-from zipf.experiments.evaluation.trained import Trained, load_agent
+from zipf.experiments.evaluation.trained import TrainedAgent, load_agent
 from zipf.experiments.options import composing
 from zipf.experiments.options.schema import PositiveInt, Seed, module_names
 from zipf.experiments.playing.recording import Recording, check_recording, usual_fps
@@ -146,7 +146,7 @@ def _played_levels(options: PlayOptions, policy: str, seed: int) -> list[PlayedL
     return levels
 
 
-def _levels(options: PlayOptions, trained: Trained | None) -> list[str]:
+def _levels(options: PlayOptions, trained: TrainedAgent | None) -> list[str]:
     if trained is None or options.level not in (None, *envs.KINDS):
         return [str(options.level)]
     split = envs.split(trained.config.environment.split)
@@ -167,7 +167,7 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
         raise UserError(str(error)) from None
 
 
-def _check_spaces(level: str, env: ZipfVectorEnv, trained: Trained) -> None:
+def _check_spaces(level: str, env: ZipfVectorEnv, trained: TrainedAgent) -> None:
     # All levels of a split have the same spaces.
     known = trained.config.split.uniform[0]
     learned = envs.make_vec(known, 1, **trained.config.level_options)

@@ -7,10 +7,8 @@ import os
 import re
 import select
 import sys
-import termios
 import textwrap
 import time
-import tty
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -87,12 +85,14 @@ class Terminal:
     """The terminal: two pixels per character, upper and lower half, in 24-bit colour.
 
     Ctrl-C interrupts as usual. Ctrl-Z does nothing.
-    Raises UserError: standard input or output is not a terminal.
+    Raises UserError: standard input or output is not a terminal, or on Windows.
     """
 
     in_characters = True
 
     def __init__(self) -> None:
+        if sys.platform == "win32":
+            raise UserError("screen=terminal: needs Linux or macOS; choose screen=window")
         if not _is_terminal():
             raise UserError(
                 "screen=terminal: standard input and output are not a terminal; "
@@ -105,6 +105,9 @@ class Terminal:
         self._shown: tuple[NDArray[np.uint8], Text] | None = None
 
     def __enter__(self) -> Terminal:
+        import termios  # here: Windows has none
+        import tty
+
         self._before = termios.tcgetattr(self._input)
         tty.setcbreak(self._input)
         attributes = termios.tcgetattr(self._input)
@@ -114,6 +117,8 @@ class Terminal:
         return self
 
     def __exit__(self, *_: object) -> None:
+        import termios
+
         try:
             self._write("\x1b[0m\x1b[?25h\x1b[?1049l")
             termios.tcsetattr(self._input, termios.TCSAFLUSH, self._before)

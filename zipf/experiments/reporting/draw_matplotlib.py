@@ -5,9 +5,11 @@ Without pyplot, so that no display is needed and no global state of a caller's i
 
 from __future__ import annotations
 
+import io
 import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -76,18 +78,42 @@ def draw(
 ) -> dict[str, list[Path]]:
     """Draw every figure the tables have data for; the files, by the table's name.
     The same tables give the same bytes."""
-    styles = line_styles([row for table in tables for row in table.rows])
     files: dict[str, list[Path]] = {}
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()  # nothing of the user's: some of it needs LaTeX, or other fonts
-        matplotlib.rcParams.update({**STYLE, "svg.hashsalt": "zipf"})
-        for table in tables:
-            for chart in charts(table, styles):
-                for kind, figure in pictures(chart):
-                    path = folder / f"{table.name}_{kind}.{format}"
-                    figure.savefig(path, format=format, metadata=UNDATED[format])
-                    files.setdefault(table.name, []).append(path)
+    with style():
+        for table, kind, figure in figures(tables):
+            path = folder / f"{table}_{kind}.{format}"
+            figure.savefig(path, format=format, metadata=UNDATED[format])
+            files.setdefault(table, []).append(path)
     return files
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """In which figures are made and drawn: nothing is the user's, of which some needs LaTeX, or
+    other fonts."""
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update({**STYLE, "svg.hashsalt": "zipf"})
+        yield
+
+
+def figures(tables: Sequence[ScoreTable]) -> Iterator[tuple[str, str, Figure]]:
+    """Every figure the tables have data for, after the table's name and the figure's kind."""
+    styles = line_styles([row for table in tables for row in table.rows])
+    for table in tables:
+        for chart in charts(table, styles):
+            for kind, figure in pictures(chart):
+                yield table.name, kind, figure
+
+
+class ShownFigure(Figure):
+    """A figure that a notebook shows, though it is none of pyplot's."""
+
+    def _repr_png_(self) -> bytes:
+        content = io.BytesIO()
+        with style():
+            self.savefig(content, format="png", dpi=90)
+        return content.getvalue()
 
 
 def pictures(chart: Chart | HeatMaps) -> Iterator[tuple[str, Figure]]:
@@ -120,7 +146,7 @@ def picture(chart: Chart) -> Figure:
     fitting = len(handles) if sum(widths) <= width else int(width / max(widths))
     columns = max(1, min(len(handles), fitting))
     rows = math.ceil(sum(label.count("\n") + 1 for label in labels) / columns)
-    figure = Figure(figsize=(width, chart.height + 0.19 * rows), layout="constrained")
+    figure = ShownFigure(figsize=(width, chart.height + 0.19 * rows), layout="constrained")
     figure.legend(handles=handles, loc="outside lower center", ncols=columns)
     _set_title(figure, f"{chart.table}: {chart.subject}")
     drawn = figure.subplots(1, len(chart.panels), sharey=True, squeeze=False)[0]
@@ -189,7 +215,7 @@ def _heat_maps(chart: HeatMaps) -> Figure:
         for first in range(0, len(titles), across)
     )
     height = 0.7 + 2.85 * down + TITLE_LINE * title_lines
-    figure = Figure(figsize=(1.3 + 2.7 * across, height), layout="constrained")
+    figure = ShownFigure(figsize=(1.3 + 2.7 * across, height), layout="constrained")
     panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     low, high = chart.limits
     image: Any = None
