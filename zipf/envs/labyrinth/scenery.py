@@ -81,7 +81,7 @@ class Scenery:
         scenes.wall_count[world] = scenes.flat_count[world] = scenes.overlay_count[world] = 0
         scenes.grid[world] = scenes.terrain[world] = 0
         scenes.sky[world] = (190, 215, 235), (95, 150, 215)
-        scenes.mesh[world, ITEMS:] = -1
+        scenes.mesh[world] = -1
         scenes.shadows[world] = 0.0
         self.shape[world] = -1
         self.spins[world] = False
@@ -213,8 +213,9 @@ def _pose(
         cos, sin = np.cos(turn), np.sin(turn)
         for k in range(shape.shape[1]):
             if not present[i, k] or shape[i, k] < 0:
-                mesh[i, k] = -1
-                shadows[i, k, 7] = 0.0
+                if mesh[i, k] >= 0:
+                    mesh[i, k] = -1
+                    shadows[i, k, 7] = 0.0
                 continue
             mesh[i, k] = shape[i, k]
             lift = BOB * (1 + sin) if spins[i, k] else 0.0
@@ -229,6 +230,6 @@ def _pose(
                 size = extents[shape[i, k]]
                 cast(
                     shadows[i, k], position[i, k, 0], position[i, k, 1], floor,
-                    np.arctan2(rotation[i, k, 1, 0], rotation[i, k, 0, 0]),
+                    turn if spins[i, k] else np.arctan2(rotation[i, k, 1, 0], rotation[i, k, 0, 0]),
                     scale[i, k] * size[0] / 2, scale[i, k] * size[1] / 2, lift * METRES,
                 )  # fmt: skip

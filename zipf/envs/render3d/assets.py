@@ -24,13 +24,13 @@ def pack_textures(textures: NDArray[np.uint8]) -> NDArray[np.uint32]:
     of a version may show any one of them. The colours are averages over what is not a hole.
     """
     packed = np.zeros((len(textures), 2 * SIZE * SIZE), np.uint32)
-    alpha = textures[..., 3:] / np.float32(255)
-    colour = textures[..., :3] * alpha
+    alpha: Any = textures[..., 3:] / np.float32(255)
+    colour: Any = textures[..., :3] * alpha
     size = SIZE
     while True:
-        opaque, rgb = _smooth(alpha), _smooth(colour)
-        rgb = np.round(rgb / np.maximum(opaque, 1e-6)).astype(np.uint32)
-        opaque = np.round(opaque[..., 0] * 255).astype(np.uint32)
+        share = _smooth(alpha)
+        rgb = np.round(_smooth(colour) / np.maximum(share, 1e-6)).astype(np.uint32)
+        opaque = np.round(share[..., 0] * 255).astype(np.uint32)
         texels = rgb[..., 0] | rgb[..., 1] << 8 | rgb[..., 2] << 16 | opaque << 24
         packed[:, size * size : 2 * size * size] = texels.reshape(len(textures), -1)
         if size == 1:
@@ -41,7 +41,7 @@ def pack_textures(textures: NDArray[np.uint8]) -> NDArray[np.uint32]:
         )
 
 
-def _smooth(image: NDArray[np.float32]) -> NDArray[np.float32]:
+def _smooth(image: NDArray[Any]) -> NDArray[Any]:
     """Every texel of images [K, H, W, C] mixed with its neighbours; images repeat."""
     for axis in (1, 2):
         image = (np.roll(image, 1, axis) + 2 * image + np.roll(image, -1, axis)) / 4

@@ -199,7 +199,9 @@ class Code:
             rows, below = self._neighbours(v)
             top, bottom = (
                 self._mixed(
-                    *(self.look_up(texels, first + row * SIZE + at, INT) for at in columns), right
+                    self.look_up(texels, first + row * SIZE + columns[0], INT),
+                    self.look_up(texels, first + row * SIZE + columns[1], INT),
+                    right,
                 )
                 for row in rows
             )

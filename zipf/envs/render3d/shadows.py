@@ -41,7 +41,7 @@ def draw_shadow(shadow, view, projection, image, width):
     """
     up = shadow[2] - view.z
     darkness = shadow[7]
-    if darkness <= 0.0 or up >= 0.0:
+    if up >= 0.0:
         return
     soft = np.float64(shadow[6])
     half_length, half_width = np.float64(shadow[4]), np.float64(shadow[5])
