@@ -27,8 +27,7 @@ OUTPUT = Path(__file__).parent.parent / "docs" / "gridworld.png"
 SPLIT = split("gridworld")
 SITUATION = {"map": 0, "target": 0}
 VIEW = 7  # cells, each way
-MARGIN = 27  # pixels around the board in the environment's frames
-HEADER = 81  # pixels above it, where the cue is shown
+MARGIN = 54  # pixels around the board in the environment's frames
 
 INK, QUIET, AMBER = "#737a87", "#7d8492", "#e69f00"  # greys that can be read on white and on black
 DARK = "#1f2430"
@@ -132,7 +131,7 @@ def draw_env(figure: plt.Figure) -> None:
     goal_row, goal_column = maps.cells[SITUATION["map"], SITUATION["target"]].tolist()
     row, column = maps.cells[SITUATION["map"], -1].tolist()
     rows, columns = maps.boards[SITUATION["map"]].shape
-    board = np.asarray(env.render())[HEADER:-MARGIN, MARGIN:-MARGIN]
+    board = np.asarray(env.render())[MARGIN:-MARGIN, MARGIN:-MARGIN]
 
     board_axes = panel(figure, (0.065, 0.03, 0.3066, 0.40), board, (columns, rows))
     board_axes.set_title("The most frequent map", fontsize=11, fontweight="bold", pad=9)

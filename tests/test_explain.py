@@ -75,7 +75,7 @@ def test_what_a_rule_makes_of_a_line():
     assert found["agent.discount"].where == "command line: agent.discount=0.5"
     assert found["agent.discount"].comment.startswith("instead of 0.99, configs/agent")
     assert found["collector.lag"].where == "command line: collector.lag=0"
-    assert found["condition"].value == "impala,collector.lag=0,agent.discount=0.5"
+    assert found["condition"].value == "impala-lag_0-discount_0.5"
     assert found["condition"].rule.startswith("name: null")
     assert found["row.title"].rule == "and what differs"
     assert found["row.line"].rule == ""

@@ -235,7 +235,18 @@ def test_a_logger_that_fails_costs_no_run(own, tmp_path, method, capsys):
     assert not (without.folder / "tensorboard").exists()
 
 
-def test_a_logger_that_cannot_start_is_one_line(own, tmp_path):
+class UselessOptions(Options):
+    name: Literal["useless"]
+
+
+def test_a_logger_that_cannot_start_is_one_line_and_others_end(own, tmp_path):
+    def useless(options):
+        raise ConnectionError("nobody is\nlogged in")
+
+    LOGGERS.register(UselessOptions, useless)
+    with pytest.raises(UserError, match=r"^loggers=\[useless\]: ConnectionError: nobody is logged"):
+        trained_with(tmp_path, "loggers=[own,useless]")
+    assert [call[0] for call in own] == ["on_start", "on_end"]
     with pytest.raises(UserError, match=r"^loggers=\[own\]: ConnectionError: the network is down"):
         trained_with(tmp_path, "loggers=[own]", "loggers.own.fails=on_start", "loggers.own.after=0")
 

@@ -56,7 +56,9 @@ class TrainOptions(TypedDict, total=False):
     runtime: str
     environment: str
     name: str | None
+    loggers: Sequence[str]
     plugins: Sequence[str]
+    loggers: Sequence[str]
     seed: int
     updates: int
     run_root: str | Path

@@ -128,8 +128,8 @@ class World:
         if isinstance(floors, str):
             floors = np.full(solid.shape, materials.index(floors))
         if walls is not None:
-            for (up, right, _), side in zip(SIDES, (EAST, NORTH, WEST, SOUTH), strict=True):
-                floors = floors + (side << TILE_SIDES) * np.roll(solid, (-up, -right), (0, 1))
+            for (up, right, _), flag in zip(SIDES, (EAST, NORTH, WEST, SOUTH), strict=True):
+                floors = floors + (flag << TILE_SIDES) * np.roll(solid, (-up, -right), (0, 1))
         rectangle = (0, 0, columns * CELL * METRES, rows * CELL * METRES)
         scenes.add_flat(i, rectangle, 0, 0, tiles=np.where(solid, -1, floors))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import torch
@@ -30,8 +30,10 @@ from zipf.options import Context
 from zipf.registry import registries
 
 
-def problems(config: Config) -> Iterator[str]:
-    """The problems of options that are each valid by themselves, one line each."""
+def problems(config: Config, coming: Collection[Path] = ()) -> Iterator[str]:
+    """The problems of options that are each valid by themselves, one line each.
+
+    `coming` are the folders of runs that will be there when this one begins."""
     if sys.platform == "win32":
         yield "training needs Linux or macOS: on Windows, run it in WSL"
     start, end = config.schedule.window
@@ -96,19 +98,21 @@ def problems(config: Config) -> Iterator[str]:
             f"collector.lag={config.lag}: agent={config.agent.name} does not correct for older "
             f"weights; should be at most {agent.largest_lag}"
         )
-    yield from _no_pretrained(config)
+    yield from _no_pretrained(config, coming)
     yield from _no_matcher(config)
     yield from _not_in_a_cluster(config)
     yield from _not_by_several_learners(config)
     yield from (line for line in _cannot_be_built(config) if line not in found)
 
 
-def _no_pretrained(config: Config) -> Iterator[str]:
+def _no_pretrained(config: Config, coming: Collection[Path]) -> Iterator[str]:
     """Why a new run cannot begin with another's weights."""
     run = config.pretrained.run
     if run is None and config.pretrained.parts != PretrainedOptions().parts:
         yield "pretrained.parts: are of another run; give pretrained.run=<its folder>"
     if run is None or (config.folder / "checkpoint.pt").exists():
+        return
+    if config.pretrained.folder in coming:
         return
     try:
         folder = Path(run).expanduser()

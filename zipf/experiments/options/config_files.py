@@ -1,9 +1,9 @@
 """Where configurations are: `configs/`, folders of the user's and of plugins.
 
 `configs/` has a file for each group, with a block for each choice; a file for each experiment; one
-for all conditions and one for all sweeps. Hydra has a file for each choice, in a folder for each
-group: so `nodes` makes of ours what Hydra would find in such folders. A folder of the user's may be
-laid out in either way.
+for all conditions, one for all sweeps and one for searches. Hydra has a file for each choice, in a
+folder for each group: so `nodes` makes of ours what Hydra would find in such folders. A folder of
+the user's may be laid out in either way.
 """
 
 from __future__ import annotations
@@ -90,7 +90,8 @@ def package(group: str, name: str) -> str | None:
 def groups() -> set[str]:
     """The groups that have files."""
     found = {path.name for folder in folders() for path in folder.iterdir() if path.is_dir()}
-    others = {"values", "sweep", "hydra", "experiments"}  # values are chosen by the other groups
+    # values are chosen by the other groups
+    others = {"values", "sweep", "search", "hydra", "experiments"}
     return (found | {"experiment", "condition", *usual().values}) - others
 
 
@@ -129,7 +130,7 @@ def _written(folder: Path, group: str) -> dict[str, Written]:
     if group == "experiment":
         return {path.stem: read(path) for path in sorted(folder.glob("experiments/*.yaml"))}
     path = folder / f"{group}.yaml"
-    if group not in ("condition", "sweep", *usual().values) or not path.is_file():
+    if group not in ("condition", "sweep", "search", *usual().values) or not path.is_file():
         return {}
     found = blocks(path)
     if group in usual().values:

@@ -15,6 +15,7 @@ from zipf.errors import UserError
 from zipf.experiments.options import command_line, composing, config_files
 from zipf.experiments.options.composing import Composed
 from zipf.experiments.options.config_files import find
+from zipf.experiments.options.naming import RowName
 from zipf.experiments.options.schema import Config, RowOptions
 from zipf.experiments.options.written import Place, read
 from zipf.experiments.records.learned_options import flatten
@@ -57,7 +58,7 @@ def explain(overrides: list[str]) -> list[Origin]:
         known |= _given(word, known, list(options))
     known |= _without_instruction(composed)
     known["condition"] = _condition(known, config, composed)
-    known |= {f"row.{part}": _row(part, known, config) for part in RowOptions.model_fields}
+    known |= {f"row.{part}": _row(part, known, composed) for part in RowOptions.model_fields}
     if composed.values["precision"] == "auto":
         known["precision"] = replace(known["precision"], rule="auto: what is fast on this device")
     if config.collector.lag is None:
@@ -249,15 +250,16 @@ def _condition(known: dict[str, Origin], config: Config, composed: Composed) -> 
     return Origin("condition", None, rule="name: null, from the choices and what differs from them")
 
 
-def _row(part: str, known: dict[str, Origin], config: Config) -> Origin:
+def _row(part: str, known: dict[str, Origin], composed: Composed) -> Origin:
     """How tables show the row."""
     option = f"row.{part}"
     if option in known and known[option].rule.startswith("command line"):
         return known[option]
-    base, *changes = config.condition.split(",")
-    written = find("condition", base)
+    name = composed.values["name"]
+    row = RowName(name, {}) if name is not None else command_line.row_name(composed)
+    written = find("condition", row.base)
     if written is not None and (place := written.places.get(option)):
-        rule = "and what differs" if part == "title" and changes else ""
+        rule = "and what differs" if part == "title" and row.changes else ""
         return Origin(option, None, place, rule, place.comment)
     return Origin(option, None, rule="name") if part == "title" else _of_class(RowOptions, part)
 

@@ -102,6 +102,14 @@ class PretrainedOptions(Options):
     run: Annotated[str, Field(min_length=1)] | None = None
     parts: list[str] = Field(default=["encoder"], min_length=1)
 
+    @property
+    def folder(self) -> Path | None:
+        """That of `run`; None where there is none, or no such user's home."""
+        try:
+            return None if self.run is None else Path(self.run).expanduser()
+        except RuntimeError:
+            return None
+
 
 class Config(Options):
     """All options of a training run; `configs/train.yaml` says what each of them means.

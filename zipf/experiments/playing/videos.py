@@ -19,14 +19,14 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf import envs
+from zipf.envs.pictures import enlarge
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.building.run_folder import agent_file
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.trained import TrainedAgent, load_agent
-from zipf.experiments.playing.recording import Recording, usual_fps
-from zipf.experiments.playing.screens import enlarge
+from zipf.experiments.playing.recording import Recording
 from zipf.experiments.records import video_files
 from zipf.experiments.records.replacing import replace_text
 from zipf.experiments.records.results import load_runs
@@ -37,6 +37,7 @@ EPISODES = 200  # tried in a situation
 AT_A_TIME = 50  # envs that play them; as many draws find every value of a rank, ten times over
 MOST_FRAMES = 150  # in a file; of longer episodes every so many-th frame is shown
 HEIGHT = 192  # pixels; pictures of a smaller height are enlarged
+MOST_FPS = 50  # browsers show a GIF's frames of less than 1/50 s five times slower than meant
 PAUSE = 1.0  # seconds on the last frame
 
 Extreme = Callable[[NDArray[np.int64]], int]
@@ -228,7 +229,7 @@ def _record(trained: TrainedAgent, situation: Situation, episode: Episode, path:
     with closing(_envs(trained, situation.level, 1, **drawn)) as env:
         env.reset(seed=episode.seed, options=situation.ranks)
         info: dict[str, Any] = {}
-        with Recording(path, usual_fps(env)) as recording:
+        with Recording(path, min(env.metadata["render_fps"], MOST_FPS)) as recording:
             recording.add(_picture(env))
             for step, action in enumerate(episode.actions, 1):
                 _, _, terminated, truncated, info = env.step(np.array([action]))

@@ -69,12 +69,15 @@ class Outputs:
         self.write(line)
 
     def start(self, run: Start) -> None:
-        """Starts loggers and the display. Raises UserError: a logger cannot start."""
+        """Starts loggers and the display. Raises UserError: a logger cannot start; those before it
+        are ended."""
         for name, options in self.config.loggers.items() if self._tables else ():
             try:
-                self._loggers[name] = LOGGERS.build(options)
-                self._stop(name, self._loggers[name].on_start(run))
+                logger = LOGGERS.build(options)
+                self._stop(name, logger.on_start(run))
+                self._loggers[name] = logger
             except Exception as error:
+                self.end(End(run.update, False, lambda: None))
                 raise UserError(f"loggers=[{name}]: {_described(error)}") from error
         self.display.start()
 

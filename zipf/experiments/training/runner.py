@@ -258,7 +258,7 @@ class Run:
                 "times as long as with precision=float32"
             )
         if self.learner.is_first and (line := run_folder.other_images(self.folder)):
-            self._tell(line)
+            self.outputs.warn(line)
         if self._pretrained:
             tell(pretrained.message(self._pretrained))
         for note in self._notes:
