@@ -179,7 +179,7 @@ def alone(id: str, **options: Any) -> Entry:
 def three_dimensional(**options: Any) -> Iterator[Entry]:
     lift, maze = "playroom/lift/lift_shape_zipf3", "labyrinth/explore_goal_locations_small"
     yield batch(lift, 64, 900, **options)
-    yield alone("Playroom-v0", level="lift/lift_shape_zipf3", **options)
+    yield alone("Playroom-v1", level="lift/lift_shape_zipf3", **options)
     yield batch(maze, 64, 1350, **options)
 
 

@@ -6,9 +6,16 @@ from dataclasses import replace
 import numpy as np
 
 from zipf.envs.render3d import (
+    EAST,
     FACES_DOWN,
+    GROUNDED,
+    NORTH,
     SEE_THROUGH,
+    SOUTH,
+    TILE_SIDES,
+    TILE_TEXTURE,
     TWO_SIDED,
+    WEST,
     MeshAtlas,
     Renderer,
     Scenes,
@@ -16,6 +23,8 @@ from zipf.envs.render3d import (
     textures,
 )
 from zipf.envs.render3d.assets import FIXED_COLOURS, pack_textures
+from zipf.envs.render3d.lanes import ENLARGED
+from zipf.envs.render3d.textures import SIZE
 
 CORNERS = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), (-1, -1, 2), (1, -1, 2), (1, 1, 2)] + [
     (-1, 1, 2)
@@ -41,7 +50,7 @@ WIDTH, HEIGHT = 64, 48
 
 def plain(*colours):
     """A stack of textures of one colour each."""
-    stack = np.full((len(colours), 64, 64, 4), 255, np.uint8)
+    stack = np.full((len(colours), SIZE, SIZE, 4), 255, np.uint8)
     for image, colour in zip(stack, colours, strict=True):
         image[..., :3] = colour
     return stack
@@ -66,10 +75,29 @@ def shaded(colour, light, t):
 
 def texel(packed, texture, u, v, area):
     """The colours and alphas of a texture at texels u, v for pixels that cover `area` texels."""
-    level = np.clip(np.floor(np.log2(np.maximum(area, 1e-9)) / 2), 0, 6).astype(int)
-    u, v = np.floor(u).astype(int) % 64, np.floor(v).astype(int) % 64
-    value = packed[texture, (v >> level) * 128 + 128 - (128 >> level) + (u >> level)]
-    return np.stack([value >> 8 * k & 255 for k in range(4)], -1).astype(float)
+
+    def look_up(level, column, row):
+        size = SIZE >> level
+        place = size * size + (row % SIZE >> level) * size + (column % SIZE >> level)
+        value = packed[texture, place]
+        return np.stack([value >> 8 * k & 255 for k in range(4)], -1).astype(float)
+
+    level = np.clip(np.floor(np.log2(np.maximum(area, 2.0) / 2) / 2), 0, 7).astype(int)
+    column, row = np.floor(u).astype(int), np.floor(v).astype(int)
+    shown = look_up(level, column, row)
+    left, top = np.floor(u - 0.5).astype(int), np.floor(v - 0.5).astype(int)
+    right, below = (u - 0.5 - left)[..., None], (v - 0.5 - top)[..., None]
+    first, second = (
+        look_up(0, left, r) * (1 - right) + look_up(0, left + 1, r) * right for r in (top, top + 1)
+    )
+    enlarged = (np.broadcast_to(area, column.shape) < ENLARGED)[..., None]
+    return np.where(enlarged, first * (1 - below) + second * below, shown)
+
+
+def darker(distance):
+    """The share of light that is left so far from where a wall meets a floor."""
+    near = np.clip(1 - np.asarray(distance) / optics.STRIP, 0, None)
+    return 1 - optics.STRIP_DARK * near**2
 
 
 def within(distance, size):
@@ -124,7 +152,7 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT, atlas=ATLAS):
             u, v = (hit - (x1, y1, 0)) @ along, z1 - hit[..., 2]
             inside = within(u, length) & within(v, z1 - z0)
             per = [
-                64 / (r or whole)
+                SIZE / (r or whole)
                 for r, whole in zip(scenes.wall_repeat[world, k], (length, z1 - z0), strict=True)
             ]
             area = per[0] * per[1] * t**3 / focal**2 / abs(distance)
@@ -136,7 +164,10 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT, atlas=ATLAS):
             light = sun_on(
                 scenes, world, normal * np.sign(distance), optics.SURFACE_DARK, optics.SURFACE_SUN
             )
-            put(t, inside, shaded(found[..., :3] * scenes.wall_tint[world, k] / 255, light, t))
+            colour = found[..., :3] * scenes.wall_tint[world, k] / 255
+            if flags & GROUNDED:
+                colour = colour * darker(z1 - z0 - v)[..., None]
+            put(t, inside, shaded(colour, light, t))
         for k in range(scenes.flat_count[world]):
             x0, y0, x1, y1, z = scenes.flats[world, k].astype(float)
             texture, flags = scenes.flat_looks[world, k]
@@ -148,22 +179,32 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT, atlas=ATLAS):
             hit = eye + t[..., None] * rays
             u, v = np.nan_to_num(hit[..., 0] - x0), np.nan_to_num(hit[..., 1] - y0)
             inside = within(u, x1 - x0) & within(v, y1 - y0)
-            which = np.full(u.shape, texture)
+            which, sides = np.full(u.shape, texture), np.full(u.shape, flags)
+            wide, deep = (x1 - x0) / max(columns, 1), (y1 - y0) / max(rows, 1)
+            column = row = 0
             if rows:
                 column = np.clip(u * columns / (x1 - x0), 0, columns - 1).astype(int)
                 row = np.clip(v * rows / (y1 - y0), 0, rows - 1).astype(int)
                 which = scenes.tiles[world, first + row * columns + column]
                 inside &= which >= 0
+                which = np.maximum(which, 0)
+                which, sides = which & TILE_TEXTURE, which >> TILE_SIDES
             repeat = scenes.flat_repeat[world, k]
-            per_u = 64 / (repeat or (x1 - x0) / max(columns, 1))
-            per_v = 64 / (repeat or (y1 - y0) / max(rows, 1))
+            per_u, per_v = SIZE / (repeat or wide), SIZE / (repeat or deep)
             area = per_u * per_v * t**3 / focal**2 / abs(z - eye[2])
             found = texel(packed, which, u * per_u, v * per_v, area)
             if flags & SEE_THROUGH:
                 inside &= found[..., 3] >= 128
             normal = (0, 0, 1 if above else -1)
             light = sun_on(scenes, world, normal, optics.SURFACE_DARK, optics.SURFACE_SUN)
-            put(t, inside, shaded(found[..., :3] * scenes.flat_tint[world, k] / 255, light, t))
+            colour = found[..., :3] * scenes.flat_tint[world, k] / 255
+            x, y = u - column * wide, v - row * deep
+            for one, there, other, here in ((EAST, wide - x, WEST, x), (NORTH, deep - y, SOUTH, y)):
+                nearest = np.minimum(
+                    np.where(sides & one, there, np.inf), np.where(sides & other, here, np.inf)
+                )
+                colour = colour * darker(nearest)[..., None]
+            put(t, inside, shaded(colour, light, t))
         for k, mesh in enumerate(scenes.mesh[world]):
             if mesh < 0:
                 continue
@@ -191,11 +232,11 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT, atlas=ATLAS):
                     faces = abs(normal @ rotation)
                     across = [axis for axis in range(3) if axis != faces.argmax()]
                     u, v = (
-                        64 / optics.PATTERN * own[..., axis] + (32 if axis < 2 else 0)
+                        SIZE / optics.PATTERN * own[..., axis] + (SIZE / 2 if axis < 2 else 0)
                         for axis in across
                     )
                     away = (eye - a) @ normal
-                    area = (64 / optics.PATTERN / focal) ** 2 * faces.max() * t**3 / away
+                    area = (SIZE / optics.PATTERN / focal) ** 2 * faces.max() * t**3 / away
                     share = texel(packed, pattern, u, v, area)[..., :1] / 255
                     colour = colours[0] + share * (colours[1] - colours[0])
                 put(t, inside, shaded(colour, light, fade))
@@ -221,7 +262,7 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT, atlas=ATLAS):
 
 def cast_terrain(scenes, world, packed, eye, rays, focal, put):
     west, south, size, repeat = scenes.terrain[world].astype(float)
-    per = 64 / (repeat or size)
+    per = SIZE / (repeat or size)
     for row, column in np.argwhere(scenes.terrain_looks[world] >= 0):
         sw, se, nw, ne = (
             np.array([west + size * c, south + size * r, scenes.heights[world, r, c]])
@@ -274,7 +315,8 @@ def random_scenes(seed, envs=6, *, patterns=False, **more):
         for k in range(4):
             repeat = ((1, 1), (0, 0), (1.5, 0), (0, 0.7))[k]
             ends = corners[k] + corners[(k + 1) % 4]
-            scenes.add_wall(world, ends, (0, 2.5), int(rng.integers(len(STACK))), repeat=repeat)
+            texture, flags = int(rng.integers(len(STACK))), GROUNDED * (k % 2)
+            scenes.add_wall(world, ends, (0, 2.5), texture, flags=flags, repeat=repeat)
         for k in range(5):
             scenes.add_wall(
                 world, rng.uniform((0, 0, 0, 0), (5, 4, 5, 4)), (rng.uniform(0, 1), 1.5),
@@ -286,10 +328,13 @@ def random_scenes(seed, envs=6, *, patterns=False, **more):
             flags=TWO_SIDED | SEE_THROUGH,
         )  # fmt: skip
         tiles = rng.integers(0, len(STACK), (3, 4))
+        tiles += rng.integers(0, 16, (3, 4)) * EAST << TILE_SIDES
         tiles[1, 1] = -1
         scenes.add_flat(world, (0, 0, 5, 4), 0, 0, tiles=tiles)
         scenes.add_flat(world, (0, 0, 5, 4), 2.5, 1, flags=FACES_DOWN, repeat=1.0)
-        scenes.add_flat(world, (1, 1, 2, 3), 0.7, 2, flags=TWO_SIDED, tint=(255, 90, 40))
+        scenes.add_flat(
+            world, (1, 1, 2, 3), 0.7, 2, flags=TWO_SIDED | WEST | NORTH, tint=(255, 90, 40)
+        )
         scenes.add_flat(world, (3, 1, 4, 2), 0.4, textures.index("fence"), flags=SEE_THROUGH)
         for k in range(5):
             scenes.mesh[world, k] = rng.integers(-1, 2)

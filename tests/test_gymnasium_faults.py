@@ -657,7 +657,7 @@ def test_it_is_said_that_there_are_too_many_actions(tmp_path: Path) -> None:
     one_line(train(tmp_path), "Discrete(1000000000000) are too many actions")
 
 
-@pytest.mark.parametrize("id", ["zipf/Gridworld-v0", "zipf/Playroom-v0"])
+@pytest.mark.parametrize("id", ["zipf/Gridworld-v0", "zipf/Playroom-v1"])
 def test_make_vec_takes_gymnasiums_time_limit(id: str) -> None:
     env = gym.make_vec(id, num_envs=2, max_episode_steps=3)
     env.reset(seed=0)

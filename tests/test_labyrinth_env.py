@@ -216,7 +216,7 @@ def test_damaged_states_are_refused(key: str, value: float) -> None:
 
 
 def test_it_is_registered_with_gymnasium() -> None:
-    env = gym.make("zipf/Labyrinth-v0", level="rooms_watermaze")
+    env = gym.make("zipf/Labyrinth-v1", level="rooms_watermaze")
     image = env.observation_space["image"]
     assert image.shape == (72, 96, 3)
     assert image.dtype == np.uint8
@@ -225,7 +225,7 @@ def test_it_is_registered_with_gymnasium() -> None:
     env.reset(seed=0)
     *_, info = env.step(0)
     assert info == {"instruction": ""}
-    many = gym.make_vec("zipf/Labyrinth-v0", num_envs=2, level="rooms_watermaze", num_actions=9)
+    many = gym.make_vec("zipf/Labyrinth-v1", num_envs=2, level="rooms_watermaze", num_actions=9)
     assert isinstance(many, LabyrinthVectorEnv)
     assert many.single_action_space.n == 9
     assert many.autoreset_mode is AutoresetMode.SAME_STEP

@@ -22,7 +22,7 @@ from zipf.envs.playroom.playroom_env import PlayroomEnv
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 from zipf.envs.testing import check_vector_env
 
-ID = "zipf/Playroom-v0"
+ID = "zipf/Playroom-v1"
 SMALL: dict[str, Any] = {"image_size": (6, 8), "max_steps": 18}
 
 

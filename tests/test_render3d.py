@@ -22,12 +22,14 @@ from zipf.envs.render3d import (
     FACES_DOWN,
     SCREEN,
     SEE_THROUGH,
+    TILE_TEXTURE,
     TWO_SIDED,
     Renderer,
     Scenes,
     pack_textures,
     textures,
 )
+from zipf.envs.render3d.textures import SIZE
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -84,10 +86,10 @@ def test_patterns_in_images_of_any_size(size):
     """No number of a triangle is left in an image, wherever blocks of pixels end."""
     scenes = random_scenes(2, patterns=True)
     scenes.pattern[:] = 3
-    images = view(scenes, plain(*[(255, 255, 255)] * 20), width=size[0], height=size[1])
+    images = view(scenes, plain(*[(255, 255, 255)] * len(STACK)), width=size[0], height=size[1])
     scenes.pattern[:] = -1
     scenes.colours[:, :, 0] = scenes.colours[:, :, 1]
-    same = view(scenes, plain(*[(255, 255, 255)] * 20), width=size[0], height=size[1])
+    same = view(scenes, plain(*[(255, 255, 255)] * len(STACK)), width=size[0], height=size[1])
     assert abs(images.astype(int) - same).max() <= 1
 
 
@@ -108,7 +110,8 @@ def test_shows_the_right_surfaces(seed):
     scenes.wall_looks[..., 1] &= ~SEE_THROUGH
     scenes.flat_looks[..., 0] = np.arange(10, 14)
     scenes.flat_looks[..., 1] &= ~SEE_THROUGH
-    scenes.tiles[scenes.tiles >= 0] = 10
+    there = scenes.tiles >= 0
+    scenes.tiles[there] = scenes.tiles[there] & ~TILE_TEXTURE | 10
     scenes.wall_tint[:] = scenes.flat_tint[:] = 255
     stack = plain(*rng.integers(30, 256, (14, 3)))
     images = view(scenes, stack).astype(float)
@@ -197,8 +200,9 @@ def test_views_straight_up_and_down():
 
 def test_walls_are_visible_from_their_left_and_not_mirrored():
     stack = plain((10, 10, 10))
-    stack[0, :32, :32, :3] = 250, 0, 0  # top left
-    stack[0, :32, 32:, :3] = 0, 250, 0  # top right
+    half = SIZE // 2
+    stack[0, :half, :half, :3] = 250, 0, 0  # top left
+    stack[0, :half, half:, :3] = 0, 250, 0  # top right
     scenes = Scenes(1, walls=1)
     scenes.sky[:] = 0
     scenes.add_wall(0, (1, -1, 1, 1), (-1, 1), 0)
@@ -275,9 +279,10 @@ def test_a_screen_seen_from_aside_is_where_a_wall_would_be():
     scenes.sky[:] = 0
     scenes.camera[0] = 0.1, 0.2, 0.05, 0.4, -0.2
     scenes.add_wall(0, (1, -1, 1, 1), (-1, 1), 0)
-    wall = view(scenes, picture, width=96, height=72)[0, ..., 0] > 40
+    texture = picture.repeat(SIZE // 64, 1).repeat(SIZE // 64, 2)
+    wall = view(scenes, texture, width=96, height=72)[0, ..., 0] > 40
     scenes.wall_looks[0, 0, 0] = SCREEN
-    screen = view(scenes, picture, width=96, height=72)[0, ..., 0] > 100
+    screen = view(scenes, texture, width=96, height=72)[0, ..., 0] > 100
     assert wall.sum() > 500
     assert (wall != screen).sum() < 0.05 * wall.sum()
 
@@ -432,7 +437,7 @@ def test_sky():
 
 def test_textures():
     stack = textures.stack()
-    assert stack.shape == (len(textures.NAMES), 64, 64, 4)
+    assert stack.shape == (len(textures.NAMES), SIZE, SIZE, 4)
     assert stack.dtype == np.uint8
     assert (stack == textures.stack()).all()
     holes = {
@@ -456,11 +461,11 @@ def test_renderers_may_share_packed_textures():
 
 
 def test_the_smallest_version_of_a_texture_is_its_mean():
-    lines = pack_textures(STACK).reshape(len(STACK), 64, 128)
+    packed = pack_textures(STACK)
     for k, image in enumerate(STACK):
         if (image[..., 3] == 255).all():
             mean = image[..., :3].reshape(-1, 3).mean(0)
-            last = lines[k, 0, 126]
+            last = packed[k, 1]
             assert [last & 255, last >> 8 & 255, last >> 16 & 255] == pytest.approx(mean, abs=0.51)
 
 
@@ -478,7 +483,7 @@ def test_bad_options(options, message):
 
 
 def test_bad_arrays():
-    with pytest.raises(ValueError, match=r"textures must be \[K, 64, 64, 4\]"):
+    with pytest.raises(ValueError, match=r"textures must be \[K, 128, 128, 4\]"):
         Renderer(ATLAS, STACK[..., :3])
     with pytest.raises(ValueError, match="textures must be uint8"):
         Renderer(ATLAS, STACK.astype(np.float32))
@@ -498,7 +503,7 @@ def test_textures_meshes_and_screens_that_do_not_exist():
     scenes.wall_count[:] = scenes.flat_count[:] = 1
     for array in (scenes.wall_looks[1, 0], scenes.flat_looks[1, 0], scenes.mesh[1]):
         array[0] = 99
-        with pytest.raises(ValueError, match="env 1 shows a texture from 20 on, a mesh from 2"):
+        with pytest.raises(ValueError, match="env 1 shows a texture from 23 on, a mesh from 2"):
             view(scenes)
         array[0] = -1
     scenes.wall_looks[1, 0, 0] = SCREEN

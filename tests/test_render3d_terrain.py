@@ -263,5 +263,5 @@ def test_bad_terrains():
     with pytest.raises(ValueError, match=r"heights must be \(1, 1\), not"):
         Scenes(1).set_terrain(0, (0, 0), 1, heights, 0)
     scenes.set_terrain(0, (0, 0), 1, heights, len(STACK))
-    with pytest.raises(ValueError, match="env 0 shows a texture from 20 on"):
+    with pytest.raises(ValueError, match="env 0 shows a texture from 23 on"):
         view(scenes)

@@ -656,6 +656,35 @@ def test_a_resumed_run_describes_how_it_went_on(trained):
     assert [again["update"] for again in now["resumed"]] == [2]
 
 
+def test_a_run_of_other_images_says_so(trained, monkeypatch, capsys, caplog):
+    """When it is resumed and when its agent is loaded, also after it went on with the new ones."""
+    folder = folder_of(trained)
+    assert run_folder.other_images(folder) is None
+    changed = dataclasses.replace(
+        envs.find_family("gridworld"), id="zipf/Gridworld-v1", image_changes=("red walls",)
+    )
+    monkeypatch.setitem(zipf.envs.family._FAMILIES, "gridworld", changed)
+    line = (
+        f"{folder}: was trained on the images of zipf/Gridworld-v0, and zipf/Gridworld-v1 has "
+        "others (red walls): scores on them differ"
+    )
+    load_agent(folder, "cpu")
+    assert caplog.messages == [line]
+    longer = [*trained, "updates=3", "schedule.window=[1,3]"]
+    capsys.readouterr()
+    assert runner.train(loading.load(longer)) == 0
+    assert "scores on them differ" in capsys.readouterr().out
+    assert run_folder.other_images(folder) == line
+    assert runner.train(loading.load([*trained, "seed=7"])) == 0
+    assert run_folder.other_images(loading.load([*trained, "seed=7"]).folder) is None
+
+
+@pytest.mark.parametrize("name", ["gridworld", "playroom", "labyrinth"])
+def test_an_id_counts_the_changes_of_the_images(name):
+    found = envs.find_family(name)
+    assert found.id.endswith(f"-v{len(found.image_changes)}")
+
+
 def test_two_processes_do_not_train_in_one_folder(trained):
     with run_folder.lock(folder_of(trained)):
         result = call(*trained)

@@ -85,6 +85,8 @@ class Family:
         splits: the benchmarks of the family.
         make: makes one env: `make(level=..., render_mode=..., **options)`; None: a batch of one.
         id: the Gymnasium id; None: the family is not registered with Gymnasium.
+        image_changes: what has changed in the images, a few words for each change; agents that were
+            trained before one see other images since. There are as many as the number in `id` says.
         check: raises ValueError for a name that is not a level; None: those in `levels` are.
         baselines: scores of policies that do not learn, by the name that the policy has in
             `zipf.protocol.BASELINES`: "chance" is of uniformly random actions, "blind" the best
@@ -126,6 +128,7 @@ class Family:
     splits: tuple[Split, ...] = ()
     make: Callable[..., gym.Env] | str | None = None
     id: str | None = None
+    image_changes: tuple[str, ...] = ()
     check: Callable[[str], object] | str | None = None
     baselines: Mapping[str, Callable[..., BaselineScore | None] | str] = field(
         default_factory=dict, hash=False

@@ -8,7 +8,8 @@ from zipf.envs.labyrinth.options import LabyrinthOptions
 FAMILY = Family(
     name="labyrinth",
     summary="the 30 tasks of DMLab-30, in the first person",
-    id="zipf/Labyrinth-v0",
+    id="zipf/Labyrinth-v1",
+    image_changes=("smooth textures, shades in corners and on round things, shadows",),
     levels=(*LEVELS, *MIXTURES),
     check="zipf.envs.labyrinth.benchmark:check",
     options=LabyrinthOptions,

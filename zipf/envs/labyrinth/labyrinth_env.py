@@ -94,8 +94,8 @@ class LabyrinthEnv(SingleEnv):
 
     ## Registered as
 
-    `zipf/Labyrinth-v0`, by `import zipf.envs`, or in one go
-    `gymnasium.make("zipf.envs:zipf/Labyrinth-v0", level="rooms_watermaze")`. With
+    `zipf/Labyrinth-v1`, by `import zipf.envs`, or in one go
+    `gymnasium.make("zipf.envs:zipf/Labyrinth-v1", level="rooms_watermaze")`. With
     `gymnasium.make_vec` the same id gives `LabyrinthVectorEnv`, which steps many envs at once.
     """
 

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from zipf.envs.labyrinth import patterns
 from zipf.envs.labyrinth.patterns import Colour
-from zipf.envs.render3d.textures import SIZE, carpet, hexagons, planks
+from zipf.envs.render3d.textures import SIZE, X, Y, carpet, hexagons, painted, planks
 
 WHITE: Colour = (255, 255, 255)
 
-_Y, _X = np.mgrid[0:SIZE, 0:SIZE]
 PICTURES = 80
 """How many pictures there are for walls."""
 STYLES = 5  # each has four floors and four walls: two colours, normal and bright
@@ -39,64 +38,61 @@ CORRIDOR_FLOOR: Colour = (196, 112, 20)
 CORRIDOR_WALL: Colour = (92, 132, 86)
 
 
-def _painted(colour: Colour, light: NDArray[np.float64]) -> NDArray[np.uint8]:
-    image = np.full((SIZE, SIZE, 4), 255, np.uint8)
-    image[..., :3] = np.clip(np.asarray(colour) * light[..., None], 0, 255)
-    return image
-
-
 def _circuit(colour: Colour, seed: int) -> NDArray[np.uint8]:
     """Panels with conductors that end in dots."""
-    x, y = _X % 32, _Y % 32
-    lines = ((y == 8) & (x < 22)) | ((x == 22) & (y >= 8) & (y < 20)) | ((y == 20) & (x >= 22))
-    lines |= ((y == 26) & (x < 14)) | ((x == 14) & (y > 14) & (y <= 26))
-    dots = ((x - 14) ** 2 + (y - 14) ** 2 < 8) | ((x - 4) ** 2 + (y - 20) ** 2 < 6)
-    seam = (x == 0) | (y == 0)
-    return _painted(colour, 1 + 0.18 * (lines | dots) - 0.25 * seam)
+    x, y = X % 32, Y % 32
+    column, row = np.floor(x), np.floor(y)
+    lines = ((row == 8) & (x < 22)) | ((column == 22) & (y >= 8) & (y < 20))
+    lines |= ((row == 20) & (x >= 22)) | ((row == 26) & (x < 14))
+    lines |= (column == 14) & (y > 14) & (y <= 27)
+    dots = (np.hypot(x - 14, y - 14) < 2.8) | (np.hypot(x - 4, y - 20) < 2.4)
+    seam = (column == 0) | (row == 0)
+    return painted(colour, 1 + 0.18 * (lines | dots) - 0.25 * seam)
 
 
 def _slanted(colour: Colour, seed: int) -> NDArray[np.uint8]:
     """Square tiles on their corners."""
-    u, v = (_X + _Y) % SIZE, (_X - _Y) % SIZE
-    shade = np.random.default_rng(seed).uniform(-0.08, 0.08, (4, 4))[u // 16, v // 16]
-    return _painted(colour, 1 + shade - 0.25 * ((u % 16 == 0) | (v % 16 == 0)))
+    u, v = (X + Y) % 64, (X - Y) % 64
+    tile = (u // 16).astype(int), (v // 16).astype(int)
+    shade = np.random.default_rng(seed).uniform(-0.08, 0.08, (4, 4))[tile]
+    return painted(colour, 1 + shade - 0.25 * ((u % 16 < 1) | (v % 16 < 1)))
 
 
 def _basket(colour: Colour, seed: int) -> NDArray[np.uint8]:
     """Strips that pass over and under each other."""
-    over = (_X // 16 + _Y // 16) % 2 == 0
-    across = np.where(over, _Y % 16, _X % 16)
+    over = (X // 16 + Y // 16) % 2 == 0
+    across = np.where(over, Y % 16, X % 16)
     round_ = 0.14 * np.sin(np.pi * (across + 0.5) / 16)
-    return _painted(colour, 0.9 + round_ - 0.22 * (across == 0))
+    return painted(colour, 0.9 + round_ - 0.22 * (across < 1))
 
 
 def _dots(colour: Colour, seed: int) -> NDArray[np.uint8]:
-    distance = np.hypot((_X % 16) - 7.5, (_Y % 16) - 7.5)
-    return _painted(colour, 1 - 0.22 * (distance < 3.5))
+    distance = np.hypot((X % 16) - 7.5, (Y % 16) - 7.5)
+    return painted(colour, 1 - 0.22 * (distance < 3.5))
 
 
 def _discs(colour: Colour, seed: int) -> NDArray[np.uint8]:
     """Two by two large discs."""
-    distance = np.hypot((_X % 32) - 15.5, (_Y % 32) - 15.5)
+    distance = np.hypot((X % 32) - 15.5, (Y % 32) - 15.5)
     ring = abs(distance - 11.5) < 1.2
-    return _painted(colour, 0.94 + 0.12 * (distance < 11) - 0.2 * ring)
+    return painted(colour, 0.94 + 0.12 * (distance < 11) - 0.2 * ring)
 
 
 def _maze_lines(colour: Colour, seed: int) -> NDArray[np.uint8]:
     """Nested angular lines."""
-    x, y = abs(_X - 31.5), abs(_Y - 31.5)
+    x, y = abs(X - 31.5), abs(Y - 31.5)
     far = np.maximum(x, y)
-    gap = (_X > 28) & (_X < 36) & ((far // 6).astype(int) % 2 == 0)
-    return _painted(colour, 1 - 0.24 * ((far % 6 < 1.6) & ~gap))
+    gap = (X > 28) & (X < 36) & ((far // 6).astype(int) % 2 == 0)
+    return painted(colour, 1 - 0.24 * ((far % 6 < 1.6) & ~gap))
 
 
 def _rings(colour: Colour, seed: int) -> NDArray[np.uint8]:
-    distance = np.hypot((_X % 32) - 15.5, (_Y % 32) - 15.5)
-    return _painted(colour, 1 - 0.2 * ((distance % 8 < 2) & (distance < 16)))
+    distance = np.hypot((X % 32) - 15.5, (Y % 32) - 15.5)
+    return painted(colour, 1 - 0.2 * ((distance % 8 < 2) & (distance < 16)))
 
 
 def _chevrons(colour: Colour, seed: int) -> NDArray[np.uint8]:
-    return _painted(colour, 1 - 0.2 * ((_Y + abs(_X % 32 - 16)) % 16 < 4))
+    return painted(colour, 1 - 0.2 * ((Y + abs(X % 32 - 16)) % 16 < 4))
 
 
 _FLOOR_PAINTERS = (hexagons, _slanted, _dots, planks, _rings)
@@ -104,26 +100,26 @@ _WALL_PAINTERS = (_circuit, _basket, _discs, _maze_lines, _chevrons)
 
 
 def _plain(colour: Colour) -> NDArray[np.uint8]:
-    return _painted(colour, np.ones((SIZE, SIZE)))
+    return painted(colour, np.ones((SIZE, SIZE)))
 
 
 def _bars(colour: Colour) -> NDArray[np.uint8]:
     """A fence: upright bars and two rails, with holes between them."""
-    bars, rails = _X % 16 < 5, (_Y % 32 >= 12) & (_Y % 32 < 16)
-    image = _painted(colour, 1 - 0.25 * (_X % 16 == 4))
+    bars, rails = X % 16 < 5, (Y % 32 >= 12) & (Y % 32 < 16)
+    image = painted(colour, 1 - 0.25 * ((X % 16 >= 4) & bars))
     image[..., 3] = np.where(bars | rails, 255, 0)
     return image
 
 
 def _panel(colour: Colour) -> NDArray[np.uint8]:
     """A door: a frame around two fields."""
-    frame = (_X < 5) | (_X >= 59) | (_Y < 4) | (_Y >= 60) | (abs(_Y - 31.5) < 3)
-    return _painted(colour, 0.82 + 0.2 * frame)
+    frame = (X < 5) | (X >= 59) | (Y < 4) | (Y >= 60) | (abs(Y - 31.5) < 3)
+    return painted(colour, 0.82 + 0.2 * frame)
 
 
 def _riser(colour: Colour) -> NDArray[np.uint8]:
     """The side of a platform, with a dark rim above."""
-    return _painted(colour, np.where(_Y < 14, 0.25, 1 - 0.15 * ((_X + _Y) % 16 < 2)))
+    return painted(colour, np.where(Y < 14, 0.25, 1 - 0.15 * ((X + Y) % 16 < 2)))
 
 
 def _picture(number: int) -> NDArray[np.uint8]:
@@ -131,7 +127,7 @@ def _picture(number: int) -> NDArray[np.uint8]:
     hue = (number * 0.381966) % 1.0  # the golden angle: numbers that follow differ most
     ground = [round(255 * c) for c in colorsys.hsv_to_rgb(hue, 0.35, 0.95)]
     figure = [round(255 * c) for c in colorsys.hsv_to_rgb((hue + 0.42) % 1, 0.9, 0.6)]
-    x, y = (_X - 31.5) / 22, (_Y - 31.5) / 22
+    x, y = (X - 31.5) / 22, (Y - 31.5) / 22
     turn = np.pi / 4 * (number // 10 % 4)
     u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
     far, angle = np.hypot(u, v), np.arctan2(v, u)
@@ -150,7 +146,7 @@ def _picture(number: int) -> NDArray[np.uint8]:
     image = np.empty((SIZE, SIZE, 4), np.uint8)
     image[..., 3] = 255
     image[..., :3] = np.where(shapes[number % 10][..., None], figure, ground)
-    edge = np.minimum(np.minimum(_X, 63 - _X), np.minimum(_Y, 63 - _Y))
+    edge = np.minimum(np.minimum(X, 63 - X), np.minimum(Y, 63 - Y))
     image[edge < 5, :3] = (54, 40, 30) if number % 2 else (214, 206, 190)
     return image
 

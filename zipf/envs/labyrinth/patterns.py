@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.render3d.textures import SIZE
+from zipf.envs.render3d.textures import SIZE, X, Y, honeycomb
 
 Colour = tuple[int, int, int]
 
@@ -32,8 +32,6 @@ FLOORS: dict[str, Colour] = {
     "black": (26, 26, 30),
 }  # fmt: skip
 """Colours of floors that have a colour word: darker than objects, which stand out from them."""
-
-_Y, _X = np.mgrid[0:SIZE, 0:SIZE]
 
 
 @cache
@@ -58,45 +56,43 @@ def shaded(colour: Colour) -> Colour:
 
 
 def _chequered() -> NDArray[np.bool_]:
-    return (_X // 32 + _Y // 32) % 2 == 1
+    return (X // 32 + Y // 32) % 2 == 1
 
 
 def _crosses() -> NDArray[np.bool_]:
     """An upright cross in the middle."""
-    x, y = abs(_X - 31.5), abs(_Y - 31.5)
+    x, y = abs(X - 31.5), abs(Y - 31.5)
     return ((x < 6) & (y < 25)) | ((y < 6) & (x < 25))
 
 
 def _diagonal_stripe() -> NDArray[np.bool_]:
-    return (_X + _Y) % 64 < 32
+    return (X + Y) % 64 < 32
 
 
 def _discs() -> NDArray[np.bool_]:
     """One large disc."""
-    return np.hypot(_X - 31.5, _Y - 31.5) < 24
+    return np.hypot(X - 31.5, Y - 31.5) < 24
 
 
 def _hex() -> NDArray[np.bool_]:
     """The thick seams of a honeycomb, 2 cells wide and 2 high."""
-    centres = [(16 * (2 * c + r % 2), 32 * r) for r in range(-1, 4) for c in range(-1, 4)]
-    far = np.sort([np.hypot(_X - x, _Y - y) for x, y in centres], axis=0)
-    return far[1] - far[0] < 8
+    return honeycomb(16) < 8
 
 
 def _pinstripe() -> NDArray[np.bool_]:
     """Thin upright lines."""
-    return _X % 32 < 8
+    return X % 32 < 8
 
 
 def _spots() -> NDArray[np.bool_]:
     """Small spots in shifted rows."""
-    x = (_X + 16 * (_Y // 32)) % 32
-    return np.hypot(x - 15.5, _Y % 32 - 15.5) < 9
+    x = (X + 16 * (Y // 32)) % 32
+    return np.hypot(x - 15.5, Y % 32 - 15.5) < 9
 
 
 def _swirls() -> NDArray[np.bool_]:
     """A spiral of two turns."""
-    x, y = _X - 31.5, _Y - 31.5
+    x, y = X - 31.5, Y - 31.5
     far, turn = np.hypot(x, y), np.arctan2(y, x) / (2 * np.pi)
     return ((far / 16 + turn) % 1 < 0.5) & (far < 31)
 

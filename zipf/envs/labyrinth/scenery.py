@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from zipf.compiled import compiled
 from zipf.envs.labyrinth import materials
 from zipf.envs.labyrinth.lasertag import view
-from zipf.envs.labyrinth.mover import EYE
-from zipf.envs.labyrinth.state import CELL, GRID, ITEMS, PITCH, QUADS, YAW, Envs, X, Y, Z
+from zipf.envs.labyrinth.lasertag.arena import FIGHTERS
+from zipf.envs.labyrinth.mover import BELOW, EYE
+from zipf.envs.labyrinth.state import BOXES, CELL, GRID, ITEMS, PITCH, QUADS, YAW, Envs, X, Y, Z
 from zipf.envs.render3d import MeshAtlas, Renderer, Scenes, load_meshes, pack_textures
+from zipf.envs.render3d.shadows import cast
 
 METRES = 0.01  # metres of the renderer in one unit
 FIELD_OF_VIEW = 90.0  # horizontal, degrees (DeepMind Lab)
@@ -29,7 +31,7 @@ BOB, TURN = 4.0, 2.05
 SIDES = ((0, 1, (1, 1, 1, 0)), (1, 0, (0, 1, 1, 1)), (0, -1, (0, 0, 0, 1)), (-1, 0, (1, 0, 0, 0)))
 """East, north, west and south side of a solid cell: rows and columns to the cell from which it is
 seen, and its ends x0, y0, x1, y1 from the solid cell's south-west corner."""
-_FLOATS = 24.0  # of a player's point above the floor that an item stands on
+DOORS = ITEMS + FIGHTERS - 1  # the first shadow of a door, after those of items and opponents
 
 
 @cache
@@ -64,7 +66,7 @@ class Scenery:
         self.scenes = Scenes(
             n, walls=WALLS, flats=FLATS, instances=ITEMS + view.ACTORS, tile_cells=GRID * GRID,
             grid=(GRID, GRID), overlays=OVERLAYS, terrain=(QUADS, QUADS),
-            screen=(SCREEN_PIXELS, SCREEN_PIXELS),
+            screen=(SCREEN_PIXELS, SCREEN_PIXELS), shadows=DOORS + BOXES,
         )  # fmt: skip
         # The mesh of each item; -1: it is not shown even if it is there. Whether it bobs and turns.
         self.shape = np.full((n, ITEMS), -1, np.int32)
@@ -79,7 +81,8 @@ class Scenery:
         scenes.wall_count[world] = scenes.flat_count[world] = scenes.overlay_count[world] = 0
         scenes.grid[world] = scenes.terrain[world] = 0
         scenes.sky[world] = (190, 215, 235), (95, 150, 215)
-        scenes.mesh[world, ITEMS:] = -1
+        scenes.mesh[world] = -1
+        scenes.shadows[world] = 0.0
         self.shape[world] = -1
         self.spins[world] = False
 
@@ -108,8 +111,9 @@ class Scenery:
         if fights:
             view.show_supplies(mask, envs.combat, supplies, self.shape, scenes.colours)
         _pose(
-            mask, envs.bodies, envs.clock, envs.places, envs.present, self.shape,
-            self.spins, scenes.camera, scenes.mesh, scenes.position, scenes.rotation,
+            mask, envs.bodies, envs.clock, envs.places, envs.present, envs.quad, atlas().extent,
+            self.shape, self.spins, scenes.scale, scenes.camera, scenes.mesh, scenes.position,
+            scenes.rotation, scenes.shadows,
         )  # fmt: skip
         if fights:
             view.pose(
@@ -117,6 +121,7 @@ class Scenery:
                 view.Pictures(
                     scenes.camera, scenes.mesh, scenes.position, scenes.rotation, scenes.scale,
                     scenes.colours, scenes.overlays, scenes.overlay_colours, scenes.overlay_count,
+                    scenes.shadows,
                 ),
             )  # fmt: skip
 
@@ -190,8 +195,12 @@ def _faces(rows: int, signs: bytes) -> tuple[NDArray[np.float64], ...]:
 
 
 @compiled(error_model="numpy")
-def _pose(mask, bodies, clock, places, present, shape, spins, camera, mesh, position, rotation):
-    """Copies the poses of players and items to the scenes of the envs of `mask`."""
+def _pose(
+    mask, bodies, clock, places, present, quad, extents, shape, spins, scale, camera, mesh,
+    position, rotation, shadows,
+):  # fmt: skip
+    """Copies the poses of players and items to the scenes of the envs of `mask`, with the shadows
+    of items, which lie on level floors only."""
     for i in range(mask.size):
         if not mask[i]:
             continue
@@ -204,13 +213,23 @@ def _pose(mask, bodies, clock, places, present, shape, spins, camera, mesh, posi
         cos, sin = np.cos(turn), np.sin(turn)
         for k in range(shape.shape[1]):
             if not present[i, k] or shape[i, k] < 0:
-                mesh[i, k] = -1
+                if mesh[i, k] >= 0:
+                    mesh[i, k] = -1
+                    shadows[i, k, 7] = 0.0
                 continue
             mesh[i, k] = shape[i, k]
             lift = BOB * (1 + sin) if spins[i, k] else 0.0
             for axis in range(3):
                 position[i, k, axis] = places[i, k, axis] * METRES
-            position[i, k, 2] += (lift - _FLOATS) * METRES
+            floor = position[i, k, 2] - BELOW * METRES
+            position[i, k, 2] = floor + lift * METRES
             if spins[i, k]:
                 rotation[i, k, 0, 0] = rotation[i, k, 1, 1] = cos
                 rotation[i, k, 0, 1], rotation[i, k, 1, 0] = -sin, sin
+            if quad[i] == 0.0:
+                size = extents[shape[i, k]]
+                cast(
+                    shadows[i, k], position[i, k, 0], position[i, k, 1], floor,
+                    turn if spins[i, k] else np.arctan2(rotation[i, k, 1, 0], rotation[i, k, 0, 0]),
+                    scale[i, k] * size[0] / 2, scale[i, k] * size[1] / 2, lift * METRES,
+                )  # fmt: skip

@@ -15,7 +15,7 @@ from zipf.envs.labyrinth.gaze import gaze
 from zipf.envs.labyrinth.lasertag.arena import TAGGED_AT
 from zipf.envs.labyrinth.scenery import METRES, Scenery, atlas
 from zipf.envs.labyrinth.state import CELL, ITEMS, QUADS, YAW, Envs, X, Y
-from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH
+from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH, TILE_TEXTURE
 
 SIZE = 288  # height and width of a map, pixels
 _FINE = 2  # a map is drawn this much larger, at least, and then reduced, against jagged lines
@@ -208,7 +208,7 @@ def _draw_floors(page: _Page, envs: Envs, scenery: Scenery, world: int) -> None:
         textures = scenes.tiles[world, first : first + rows * columns].reshape(rows, columns)
         for row, column in np.argwhere(textures >= 0).tolist():
             corner = x0 + column * CELL, y0 + row * CELL
-            colour = light * _mixed(int(textures[row, column]), tint)
+            colour = light * _mixed(int(textures[row, column]) & TILE_TEXTURE, tint)
             page.rectangle(corner, (corner[0] + CELL, corner[1] + CELL), _colour(colour))
     count = int(envs.plane_count[world])
     if count > 4:  # a round room's floor is cut off at its walls

@@ -12,7 +12,7 @@ from zipf.envs.labyrinth import materials
 from zipf.envs.labyrinth.grids import Cell
 from zipf.envs.labyrinth.mover import BELOW, WIDE
 from zipf.envs.labyrinth.patterns import SOLID
-from zipf.envs.labyrinth.scenery import METRES, SIDES, Scenery, atlas, faces
+from zipf.envs.labyrinth.scenery import DOORS, METRES, SIDES, Scenery, atlas, faces
 from zipf.envs.labyrinth.screen import Screen
 from zipf.envs.labyrinth.state import (
     CELL,
@@ -33,7 +33,19 @@ from zipf.envs.labyrinth.state import (
 )
 from zipf.envs.labyrinth.terrain import Terrain
 from zipf.envs.labyrinth.words import VOCABULARY
-from zipf.envs.render3d import FACES_DOWN, SCREEN, SEE_THROUGH, TWO_SIDED
+from zipf.envs.render3d import (
+    EAST,
+    FACES_DOWN,
+    GROUNDED,
+    NORTH,
+    SCREEN,
+    SEE_THROUGH,
+    SOUTH,
+    TILE_SIDES,
+    TWO_SIDED,
+    WEST,
+)
+from zipf.envs.render3d.shadows import cast
 
 Point = tuple[float, float, float]
 
@@ -110,11 +122,14 @@ class World:
             # Numbers of faces count the columns of the scene's grid.
             cell, side = np.divmod(numbers, 4)
             numbers = (cell // columns * GRID + cell % columns) * 4 + side
-            scenery.add_walls(i, ends, (0.0, CELL), textures, numbers)
+            scenery.add_walls(i, ends, (0.0, CELL), textures, numbers, flags=GROUNDED)
             scenes.solid[i] = envs.solid[i]
             scenes.grid[i] = 0, 0, CELL * METRES
         if isinstance(floors, str):
             floors = np.full(solid.shape, materials.index(floors))
+        if walls is not None:
+            for (up, right, _), flag in zip(SIDES, (EAST, NORTH, WEST, SOUTH), strict=True):
+                floors = floors + (flag << TILE_SIDES) * np.roll(solid, (-up, -right), (0, 1))
         rectangle = (0, 0, columns * CELL * METRES, rows * CELL * METRES)
         scenes.add_flat(i, rectangle, 0, 0, tiles=np.where(solid, -1, floors))
 
@@ -176,7 +191,7 @@ class World:
             textures = np.full(4, materials.index(texture))
             self._scenery.add_walls(
                 i, ends, (low[2], high[2]), textures, np.full(4, -1),
-                repeat=(repeat, repeat), tint=tint,
+                flags=GROUNDED if low[2] == 0.0 else 0, repeat=(repeat, repeat), tint=tint,
             )  # fmt: skip
         return box
 
@@ -222,7 +237,7 @@ class World:
         ends = np.concatenate([points, np.roll(points, -1, 0)], 1)
         self._scenery.add_walls(
             i, ends, (0.0, height), np.full(sides, materials.index(texture)), np.full(sides, -1),
-            repeat=(CELL, CELL), tint=tint,
+            flags=GROUNDED, repeat=(CELL, CELL), tint=tint,
         )  # fmt: skip
 
     def add_picture(
@@ -392,7 +407,13 @@ class World:
         wall, at, half, cell, hides = self._doors[door]
         self._envs.opaque[i, cell[0], cell[1]] = hides and not is_open
         first = at + half * (1 - 2 * LIP / CELL) if is_open else at - half
-        self._scenery.scenes.walls[i, wall, :4] = np.array([*first, *(at + half)]) * METRES
+        first, last = first * METRES, (at + half) * METRES
+        self._scenery.scenes.walls[i, wall, :4] = *first, *last
+        angle = math.atan2(last[1] - first[1], last[0] - first[0])
+        cast(
+            self._scenery.scenes.shadows[i, DOORS + door], *((first + last) / 2), 0.0, angle,
+            math.dist(first, last) / 2, DOOR / 2 * METRES, 0.0,
+        )  # fmt: skip
         box = self._envs.boxes[i, door]
         thick = np.array([DOOR / 2, DOOR / 2])
         if is_open:

@@ -67,7 +67,10 @@ _PAPER_SPLITS = (
 FAMILY = Family(
     name="playroom",
     summary="lift, put or find the named one of 50 toys, in the first person",
-    id="zipf/Playroom-v0",
+    id="zipf/Playroom-v1",
+    image_changes=(
+        "smooth textures, shades in corners and on round things, a skirting, a window, a picture",
+    ),
     levels=tuple(LEVELS),
     check="zipf.envs.playroom.levels:by_name",
     options=PlayroomOptions,

@@ -122,8 +122,8 @@ class PlayroomEnv(SingleEnv):
 
     ## Registered as
 
-    `zipf/Playroom-v0`, by `import zipf.envs`, or in one go
-    `gymnasium.make("zipf.envs:zipf/Playroom-v0", level="lift/lift_shape_zipf3")`. With
+    `zipf/Playroom-v1`, by `import zipf.envs`, or in one go
+    `gymnasium.make("zipf.envs:zipf/Playroom-v1", level="lift/lift_shape_zipf3")`. With
     `gymnasium.make_vec` the same id gives `PlayroomVectorEnv`, which steps many envs at once.
     """
 

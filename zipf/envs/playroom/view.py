@@ -11,21 +11,32 @@ from zipf.envs.playroom import varied_looks
 from zipf.envs.playroom.constants import CEILING, EYE, FURNITURE_SIZE, LANDING, ROOM
 from zipf.envs.playroom.geometry import half_width, rectangle_gap
 from zipf.envs.playroom.state import AX, AY, PITCH, YAW, Envs, X, Y, Z
-from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textures
+from zipf.envs.render3d import (
+    EAST,
+    FACES_DOWN,
+    GROUNDED,
+    NORTH,
+    SOUTH,
+    WEST,
+    Renderer,
+    Scenes,
+    load_meshes,
+    textures,
+)
+from zipf.envs.render3d.shadows import DARKNESS, cast
 
 FIELD_OF_VIEW = 75.0
 """Horizontal, degrees. Ours: the smallest object is 7 of 96 pixels wide from 2 m away."""
 
-# Shadows, ours. They are darkest below the inner part of an object, and fainter and softer the
-# higher it is.
-_DARKNESS = 0.55
-_INNER = 0.6
-"""Share of an object's footprint."""
-_SOFTNESS = 0.07  # how far a shadow reaches beyond an object on the floor, metres
-_SPREAD = 0.25  # how much farther for every metre of height
-_FAINT = 0.5  # height at which half of the darkness is left, metres
 _FURNITURE_SOFTNESS = (0.2, 0.09)
 """Widths of the soft edges of bed's and tray's shadows on each side of the edge, metres."""
+
+# Of the room, metres: ours.
+SKIRTING = 0.1  # height
+HANGING = 0.01  # distance from the wall
+WINDOW = (-0.6, 0.6), (0.95, 2.05)
+PICTURE = (-1.1, -0.2), (1.05, 1.75)
+"""In the east and in the west: from where to where, and from which height to which."""
 
 _FRAME = (240, 384)
 _CAPTION = 48
@@ -49,7 +60,7 @@ class View:
         self.varied = varied
         self.meshes = np.array([atlas.index(name) for name in names])
         num_envs, count = envs.ranks.shape
-        self.scenes = Scenes(num_envs, walls=4, flats=2, instances=count + 2, shadows=count + 2)
+        self.scenes = Scenes(num_envs, walls=10, flats=2, instances=count + 2, shadows=count + 2)
         for i in range(num_envs):
             _build_room(self.scenes, i)
         if envs.furnished:
@@ -78,7 +89,7 @@ class View:
             shadows = np.zeros((*x.shape, 8))
             shadows[..., 0], shadows[..., 1], shadows[..., 3] = x, y, angle
             shadows[..., 4:6] = FURNITURE_SIZE[:, :2] - soft[:, None]
-            shadows[..., 6], shadows[..., 7] = 2 * soft, _DARKNESS
+            shadows[..., 6], shadows[..., 7] = 2 * soft, DARKNESS
             scenes.shadows[mask, count:] = shadows
         if self.varied:
             varied_looks.vary(
@@ -130,19 +141,24 @@ class View:
 
 
 def _build_room(scenes: Scenes, i: int) -> None:
-    """Adds floor, ceiling and four walls with different wallpapers, which show the direction."""
+    """Adds floor, ceiling, four walls with different wallpapers, which show the direction, their
+    skirtings, a window and a picture. What varied looks change comes first."""
     half = ROOM / 2
     corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
-    for k, paper in enumerate(varied_looks.WALLS):
-        scenes.add_wall(
-            i,
-            (*corners[k], *corners[(k + 1) % 4]),
-            (0.0, CEILING),
-            textures.index(paper),
-            repeat=(1.0, 1.0),
-        )
+    sides = [(*one, *two) for one, two in zip(corners, corners[1:] + corners[:1], strict=True)]
+    for ends, paper in zip(sides, varied_looks.WALLS, strict=True):
+        scenes.add_wall(i, ends, (SKIRTING, CEILING), textures.index(paper), repeat=(1.0, 1.0))
+    for ends in sides:
+        scenes.add_wall(i, ends, (0.0, SKIRTING), textures.index("skirting"), flags=GROUNDED)
+    near = half - HANGING
+    (left, right), heights = WINDOW
+    scenes.add_wall(i, (near, left, near, right), heights, textures.index("window"))
+    (left, right), heights = PICTURE
+    scenes.add_wall(i, (-near, right, -near, left), heights, textures.index("picture"))
     square = (-half, -half, half, half)
-    scenes.add_flat(i, square, 0.0, textures.index(varied_looks.FLOOR), repeat=1.0)
+    walled = EAST | NORTH | WEST | SOUTH
+    floor = textures.index(varied_looks.FLOOR)
+    scenes.add_flat(i, square, 0.0, floor, flags=walled, repeat=1.0)
     scenes.add_flat(i, square, CEILING, textures.index("ceiling"), flags=FACES_DOWN, repeat=2.0)
 
 
@@ -195,11 +211,7 @@ def _shade(shadow, item, middle, frame, size, furnished, furniture):
         breadth += abs(cos * frame[1, c] - sin * frame[0, c]) * size[c] / 2
         tall += abs(frame[2, c]) * size[c] / 2
     height = max(middle - tall - top, 0.0)
-    shadow[0], shadow[1], shadow[2] = item[X], item[Y], top
-    shadow[3] = angle
-    shadow[4], shadow[5] = _INNER * length, _INNER * breadth
-    shadow[6] = (1 - _INNER) * min(length, breadth) + _SOFTNESS + _SPREAD * height
-    shadow[7] = _DARKNESS / (1 + height / _FAINT)
+    cast(shadow, item[X], item[Y], top, angle, length, breadth, height)
 
 
 def _renderer(height: int, width: int) -> Renderer:

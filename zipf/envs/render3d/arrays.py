@@ -86,6 +86,9 @@ class Meshes(NamedTuple):
     triangles: Any  # int32 [T, 3]: vertices, counted from the first of their mesh
     planes: Any
     """float32 [4, T + LANES]: unit normals, and their products with a point of the plane."""
+    corners: Any
+    """float32 [4, 3 T + LANES]: unit normals at the corners of triangles, and -1."""
+    smooth: Any  # uint8 [T]: whether the normals at a triangle's corners are not its own
     parts: Any  # uint8 [T]: which colour
     first_vertex: Any  # int32 [meshes + 1]
     first_triangle: Any  # int32 [meshes + 1]
@@ -95,7 +98,7 @@ class Meshes(NamedTuple):
 class Assets(NamedTuple):
     """Textures and meshes, the same for all envs."""
 
-    texels: Any  # uint32 [K, 64 * 128], see `pack_textures`
+    texels: Any  # uint32 [K, 2 * 128 * 128], see `pack_textures`
     meshes: Meshes
     fixed_colours: Any
     """uint8 [4, 3]: of the parts of meshes from 2 on."""
@@ -128,6 +131,7 @@ class MeshBuffers(NamedTuple):
 
     seen: Any  # float32 [6, V + LANES]: vertices as `vertex_block` writes them
     lit: Any  # float32 [T + LANES]: light on the triangles, 0 on those that face away
+    corner_lit: Any  # float32 [3 T + LANES]: light on the corners of triangles
     front: Any  # int32 [T + 1]: the triangles that face the eye
     axis: Any
     """int32 [T + LANES]: with a pattern, the axis that a triangle faces most: 0 x, 1 y, 2 z."""

@@ -15,34 +15,42 @@ FIXED_COLOURS = np.array(
 )
 """Colours of the parts of meshes from part 2 on: dark, light, wood, green."""
 
-_LINE = 2 * SIZE  # texels in a line of a texture and of its smaller versions together
-
 
 def pack_textures(textures: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    """Textures and their smaller versions as texels 0xAABBGGRR, uint32 [K, 64 * 128].
+    """Textures and their smaller versions as texels 0xAABBGGRR, uint32 [K, 2 * SIZE * SIZE].
 
-    A line of a texture is followed by a line of its half, its quarter and so on: line y of level n
-    begins at texel y * 128 + 128 - (128 >> n). The colours of smaller versions are averages over
-    the texels that are not holes.
+    Version n is half as large as the one before it, and begins at texel SIZE * SIZE >> 2 * n. All
+    are smoothed by a filter as wide as two of their texels, so that a pixel that covers two texels
+    of a version may show any one of them. The colours are averages over what is not a hole.
     """
-    packed = np.zeros((len(textures), SIZE, _LINE), np.uint32)
-    alpha = textures[..., 3:] / 255.0
-    colour = textures[..., :3] * alpha
-    level = 0
+    packed = np.zeros((len(textures), 2 * SIZE * SIZE), np.uint32)
+    alpha: Any = textures[..., 3:] / np.float32(255)
+    colour: Any = textures[..., :3] * alpha
+    size = SIZE
     while True:
-        size = SIZE >> level
-        rgb = np.round(colour / np.maximum(alpha, 1e-6)).astype(np.uint32)
-        opaque = (np.round(alpha[..., 0] * 255)).astype(np.uint32)
-        start = _LINE - (_LINE >> level)
-        packed[:, :size, start : start + size] = (
-            rgb[..., 0] | rgb[..., 1] << 8 | rgb[..., 2] << 16 | opaque << 24
-        )
+        share = _smooth(alpha)
+        rgb = np.round(_smooth(colour) / np.maximum(share, 1e-6)).astype(np.uint32)
+        opaque = np.round(share[..., 0] * 255).astype(np.uint32)
+        texels = rgb[..., 0] | rgb[..., 1] << 8 | rgb[..., 2] << 16 | opaque << 24
+        packed[:, size * size : 2 * size * size] = texels.reshape(len(textures), -1)
         if size == 1:
-            return packed.reshape(len(textures), -1)
+            return packed
+        size //= 2
         colour, alpha = (
-            a.reshape(len(a), size // 2, 2, size // 2, 2, -1).mean((2, 4)) for a in (colour, alpha)
+            a.reshape(len(a), size, 2, size, 2, -1).mean((2, 4)) for a in (colour, alpha)
         )
-        level += 1
+
+
+def _smooth(image: NDArray[Any]) -> NDArray[Any]:
+    """Every texel of images [K, H, W, C] mixed with its neighbours; images repeat."""
+    for axis in (1, 2):
+        image = (np.roll(image, 1, axis) + 2 * image + np.roll(image, -1, axis)) / 4
+    return image
+
+
+_ROUND = np.cos(np.radians(50))
+"""Between triangles whose normals differ by a larger angle there is an edge: a prism of eight sides
+is round, one of six is not. Ours."""
 
 
 @cache
@@ -53,6 +61,7 @@ def prepare_meshes(meshes: MeshAtlas) -> tuple[NDArray[Any], ...]:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     planes = np.concatenate([normals, (normals * corners[:, 0]).sum(1, keepdims=True)], axis=1)
+    rounded = _rounded_normals(meshes, normals, corners)
     balls = np.zeros((len(meshes.names), 4), np.float32)
     for ball, first, last in zip(
         balls, meshes.first_vertex[:-1], meshes.first_vertex[1:], strict=True
@@ -65,11 +74,32 @@ def prepare_meshes(meshes: MeshAtlas) -> tuple[NDArray[Any], ...]:
         _lines(meshes.vertices),
         np.ascontiguousarray(local, np.int32),
         _lines(planes),
+        _lines(np.insert(rounded.reshape(-1, 3), 3, -1.0, axis=1)),
+        (np.abs(rounded - normals[:, None]).max((1, 2)) > 1e-3).astype(np.uint8),
         np.ascontiguousarray(meshes.parts, np.uint8),
         np.ascontiguousarray(meshes.first_vertex, np.int32),
         np.ascontiguousarray(meshes.first_triangle, np.int32),
         balls,
     )
+
+
+def _rounded_normals(
+    meshes: MeshAtlas, normals: NDArray[Any], corners: NDArray[Any]
+) -> NDArray[np.float64]:
+    """The normals of round surfaces at the corners of triangles, [T, 3, 3]: at each the mean of the
+    triangle's and its neighbours', weighted by their areas, but for those beyond an edge."""
+    areas = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    around: dict[int, list[int]] = {}
+    for corner, vertex in enumerate(meshes.triangles.ravel().tolist()):
+        around.setdefault(vertex, []).append(corner // 3)
+    rounded = np.empty((len(normals), 3, 3))
+    for corner, vertex in enumerate(meshes.triangles.ravel().tolist()):
+        own, others = normals[corner // 3], around[vertex]
+        near = normals[others] @ own > _ROUND
+        rounded[corner // 3, corner % 3] = (areas[others] * near) @ normals[others]
+    return rounded / np.maximum(np.linalg.norm(rounded, axis=2, keepdims=True), 1e-12)
 
 
 def _lines(rows: NDArray[Any]) -> NDArray[np.float32]:

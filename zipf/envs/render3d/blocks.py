@@ -16,7 +16,23 @@ from llvmlite import ir
 from numba.extending import intrinsic as _intrinsic
 
 from zipf.compiled import compiled
-from zipf.envs.render3d.lanes import ADDRESS, BYTE, F32, FLOAT, I32, INT, LANES, Code, written
+from zipf.envs.render3d.lanes import (
+    ADDRESS,
+    BYTE,
+    F32,
+    FLOAT,
+    I32,
+    INT,
+    LANES,
+    Code,
+    Vector,
+    written,
+)
+from zipf.envs.render3d.optics import STRIP, STRIP_DARK
+from zipf.envs.render3d.scene import EAST, NORTH, SOUTH, TILE_SIDES, TILE_TEXTURE, WEST
+from zipf.envs.render3d.textures import SIZE
+
+TEXTURE = (2 * SIZE * SIZE).bit_length() - 1  # binary logarithm of the texels of a texture
 
 intrinsic: Any = _intrinsic  # its annotations do not say that it returns a function
 
@@ -30,18 +46,19 @@ def address(array):
 
 @intrinsic
 def wall_block(
-    typingctx, colour, depth, texels, x, last, z, dz, u, du, v, dv, area, fade, red, green,
-    blue, solid,
+    typingctx, colour, depth, texels, x, last, z, dz, u, du, v, dv, area, fade, foot, per_foot, red,
+    green, blue, solid,
 ):  # fmt: skip
     """Draws the pixels x .. min(x + 15, last) of a wall.
 
     1/t is z + dz * x, and texel coordinates divided by t likewise; a pixel covers area * t**3
-    texels; the light is red, green, blue divided by 1 + fade * t**2. Holes are transparent where
-    `solid` is 0 and drawn where it is OPAQUE.
+    texels; the light is red, green, blue divided by 1 + fade * t**2, and less where v is above
+    `foot`: by STRIP_DARK where it is more by 1 / per_foot. Holes are transparent where `solid` is 0
+    and drawn where it is OPAQUE.
     """
 
-    def write(builder, colour, depth, texels, x, last, z, dz, u, du, v, dv, area, fade, red,
-              green, blue, solid):  # fmt: skip
+    def write(builder, colour, depth, texels, x, last, z, dz, u, du, v, dv, area, fade, foot,
+              per_foot, red, green, blue, solid):  # fmt: skip
         code = Code(builder)
         splat = code.splat
         column = code.columns(x)
@@ -51,13 +68,14 @@ def wall_block(
         with builder.if_then(mask.any()):
             t, dim = code.distance(inverse, fade)
             iu, iv = ((splat(a) + splat(da) * place) * t for a, da in ((u, du), (v, dv)))
-            index = code.texel(splat(area) * (t * t * t), iu, iv)
-            texel = code.look_up(texels, index, INT)
+            texel = code.sample(texels, splat(area) * (t * t * t), iu, iv)
             mask = mask & ((texel | splat(solid)) < 0)
+            near = ((iv - splat(foot)) * splat(per_foot)).most(0.0)
+            dim = dim - dim * near * near * STRIP_DARK
             paint = code.shade(texel, [dim * splat(c) for c in (red, green, blue)])
             code.keep(mask, inverse, depth, paint, colour)
 
-    return written([ADDRESS] * 3 + [I32] * 2 + [F32] * 11 + [I32], write)
+    return written([ADDRESS] * 3 + [I32] * 2 + [F32] * 13 + [I32], write)
 
 
 @intrinsic
@@ -107,53 +125,81 @@ def screen_block(
 
 def _flat(patchwork: bool) -> Callable[..., Any]:
     def write(builder, colour, depth, texels, x, last, z, u, du, v, dv, each, red, green,
-              blue, solid, tiles, c, dc, columns, r, dr, rows):  # fmt: skip
+              blue, solid, sides, c, dc, wide, r, dr, high, tiles, columns, rows):  # fmt: skip
         code = Code(builder)
         splat = code.splat
         column = code.columns(x)
         place = column.floats_()
         mask = (column <= splat(last)) & (splat(z) > code.load(depth, FLOAT))
         with builder.if_then(mask.any()):
-            iu, iv = (splat(a) + splat(da) * place for a, da in ((u, du), (v, dv)))
-            index = code.texel(splat(each), iu, iv)
+            iu, iv, at_c, at_r = (
+                splat(a) + splat(da) * place for a, da in ((u, du), (v, dv), (c, dc), (r, dr))
+            )
+            start = None
+            walled = splat(sides)
             if patchwork:
-                ic = (splat(c) + splat(dc) * place).truncated().most(0).least(splat(columns) - 1)
-                ir_ = (splat(r) + splat(dr) * place).truncated().most(0).least(splat(rows) - 1)
+                ic = at_c.truncated().most(0).least(splat(columns) - 1)
+                ir_ = at_r.truncated().most(0).least(splat(rows) - 1)
                 tile = code.look_up(tiles, ir_ * splat(columns) + ic, ir.IntType(16))
                 mask = mask & (tile >= 0)
-                index = index + (tile.most(0) << 13)
-            texel = code.look_up(texels, index, INT)
+                tile = tile.most(0)
+                walled = tile >> TILE_SIDES
+                start = (tile & TILE_TEXTURE) << TEXTURE
+                at_c, at_r = at_c - ic.floats_(), at_r - ir_.floats_()
+            texel = code.sample(texels, splat(each), iu, iv, start)
             mask = mask & ((texel | splat(solid)) < 0)
-            paint = code.shade(texel, [splat(factor) for factor in (red, green, blue)])
+            light = at_c.like(1.0)
+            plain = builder.block
+            with builder.if_then((walled >= EAST).any()):
+                darker = light
+                # How near to the walls at the east or west, and north or south, from 0 to 1.
+                for at, size, first, second in (
+                    (at_c, wide, EAST, WEST), (at_r, high, NORTH, SOUTH)
+                ):  # fmt: skip
+                    far = at.like(1.0 / STRIP)
+                    from_first = ((walled & first) > 0).choose(
+                        (at.like(1.0) - at) * splat(size), far
+                    )
+                    from_second = ((walled & second) > 0).choose(at * splat(size), far)
+                    near = (at.like(1.0) - from_first.least(from_second) * (1.0 / STRIP)).most(0.0)
+                    darker = darker - darker * near * near * STRIP_DARK
+                walls = builder.block
+            left = builder.phi(light.value.type)
+            left.add_incoming(light.value, plain)
+            left.add_incoming(darker.value, walls)
+            light = Vector(builder, left)
+            paint = code.shade(texel, [splat(factor) * light for factor in (red, green, blue)])
             code.keep(mask, splat(z), depth, paint, colour)
 
     return write
 
 
-_FLAT = [ADDRESS] * 3 + [I32] * 2 + [F32] * 9 + [I32]
+_FLAT = [ADDRESS] * 3 + [I32] * 2 + [F32] * 9 + [I32] * 2 + [F32] * 6
 
 
 @intrinsic
 def flat_block(
     typingctx, colour, depth, texels, x, last, z, u, du, v, dv, each, red, green, blue,
-    solid,
+    solid, sides, c, dc, wide, r, dr, high,
 ):  # fmt: skip
     """Draws the pixels x .. min(x + 15, last) of a flat.
 
     1/t, the light and the number of texels `each` that a pixel covers are the same along a line;
-    texel coordinates are affine.
+    texel coordinates are affine. So are c and r, the shares of the flat's size along x and y, which
+    is `wide` and `high`, metres; at its `sides` EAST .. SOUTH it is darker.
     """
     write = _flat(patchwork=False)
-    return written(_FLAT, lambda builder, *args: write(builder, *args, *[None] * 7))
+    return written(_FLAT, lambda builder, *args: write(builder, *args, *[None] * 3))
 
 
 @intrinsic
 def patchwork_block(
     typingctx, colour, depth, texels, x, last, z, u, du, v, dv, each, red, green, blue,
-    solid, tiles, c, dc, columns, r, dr, rows,
+    solid, sides, c, dc, wide, r, dr, high, tiles, columns, rows,
 ):  # fmt: skip
-    """Like `flat_block`, with the texture from `tiles` [rows, columns] at affine coordinates."""
-    return written(_FLAT + [ADDRESS, F32, F32, I32, F32, F32, I32], _flat(patchwork=True))
+    """Like `flat_block`, with texture and sides from `tiles` [rows, columns], at the column c and
+    the row r; `wide` and `high` are a tile's, and `sides` is ignored."""
+    return written(_FLAT + [ADDRESS, I32, I32], _flat(patchwork=True))
 
 
 @intrinsic
@@ -271,6 +317,30 @@ def triangle_block(
 
 
 @intrinsic
+def smooth_triangle_block(
+    typingctx, colour, depth, x, z, dz, a, da, b, db, c, dc, light, dlight, red, green, blue
+):  # fmt: skip
+    """Like `triangle_block`, in a colour 0 .. 255 in a light that is affine in x, 0 .. 1."""
+
+    def write(builder, colour, depth, x, z, dz, a, da, b, db, c, dc, light, dlight, red, green,
+              blue):  # fmt: skip
+        code = Code(builder, TRIANGLE_LANES)
+        splat = code.splat
+        place = code.columns(x).floats_()
+        inverse = splat(z) + splat(dz) * place
+        mask = inverse > code.load(depth, FLOAT)
+        for start, step in ((a, da), (b, db), (c, dc)):
+            mask = mask & (splat(start) + splat(step) * place > 0.0)
+        lit = (splat(light) + splat(dlight) * place).most(0.0).least(1.0)
+        paint = (splat(red) * lit).truncated()
+        paint = paint | (splat(green) * lit).truncated() << 8
+        paint = paint | (splat(blue) * lit).truncated() << 16
+        code.keep(mask, inverse, depth, paint, colour)
+
+    return written([ADDRESS, ADDRESS, I32] + [F32] * 13, write)
+
+
+@intrinsic
 def cell_block(typingctx, south, north, line, kinds, right, bottom, near, side):
     """Writes the kinds of 16 cells of a terrain: 0 invisible, 2 cut by the near plane, 1 other.
 
@@ -343,7 +413,7 @@ def terrain_block(
             lit = code.look_up(light, triangle, INT).as_floats() * dim
             each = code.look_up(area, triangle, INT).as_floats() * (t * t * t)
             look = code.look_up(looks, triangle >> 1, ir.IntType(16)).most(0)
-            texel = code.look_up(texels, code.texel(each, iu, iv) + (look << 13), INT)
+            texel = code.sample(texels, each, iu, iv, look << TEXTURE)
             paint = code.shade(texel, [lit * splat(c) for c in (red, green, blue)])
             code.store(mask.choose(paint, number), colour)
 
@@ -386,7 +456,7 @@ def pattern_block(
             unused = code.look_up(axis, triangle, INT)
             u, v = (unused < 1).choose(at_y, at_x), (unused > 1).choose(at_y, at_z)
             each = code.look_up(area, triangle, INT).as_floats() * (t * t * t)
-            texel = code.look_up(texels, code.texel(each, u, v), INT)
+            texel = code.sample(texels, each, u, v)
             light = code.look_up(lit, triangle, INT).as_floats()
             share = (texel & 255).floats_() * (1 / 255)
             paint = number.like(0)

@@ -151,7 +151,8 @@ def draw(mask, scene_fields, asset_fields, lens_fields, buffer_fields, out):
                     width,
                 )  # fmt: skip
         for k in range(shadows.shape[1]):
-            draw_shadow(shadows[i, k], view, projection, image, width)
+            if shadows[i, k, 7] > 0.0:  # most are not, and a call takes longer
+                draw_shadow(shadows[i, k], view, projection, image, width)
         # What overlays are mixed with is read again at once.
         _write_image(image.colour, out, i, overlays.count[i] == 0)
         for k in range(overlays.count[i]):

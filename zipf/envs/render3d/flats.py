@@ -18,6 +18,7 @@ from zipf.envs.render3d.optics import (
 from zipf.envs.render3d.rounding import ceil, floor
 from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED
 from zipf.envs.render3d.spans import narrow_rows
+from zipf.envs.render3d.textures import SIZE
 
 
 @compiled(references=False, error_model="numpy", fastmath=True)
@@ -54,10 +55,9 @@ def draw_flat(
         return
     hx, hy, a0, da = view.hx, view.hy, view.a0, view.da
     light = light_on(0.0, 0.0, 1.0 if up < 0.0 else -1.0, SURFACE_DARK, SURFACE_SUN, sun)
-    per_column = columns / (east - west)
-    per_row = rows / (north - south)
-    per_u = 64.0 / repeat if repeat > 0.0 else 64.0 * max(columns, 1) / (east - west)
-    per_v = 64.0 / repeat if repeat > 0.0 else 64.0 * max(rows, 1) / (north - south)
+    wide, deep = (east - west) / max(columns, 1), (north - south) / max(rows, 1)
+    per_u = SIZE / repeat if repeat > 0.0 else SIZE / wide
+    per_v = SIZE / repeat if repeat > 0.0 else SIZE / deep
     area = per_u * per_v * da * da / abs(up)
     lit_red, lit_green, lit_blue = lamp[0] * tint[0], lamp[1] * tint[1], lamp[2] * tint[2]
     solid = 0 if flags & SEE_THROUGH else OPAQUE
@@ -99,12 +99,12 @@ def draw_flat(
                 patchwork_block(
                     line + at, depths + at, texels_at, x, last_x, inverse,
                     px * per_u, dx * per_u, py * per_v, dy * per_v, each, red, green, blue, solid,
-                    tiles_at, px * per_column, dx * per_column, columns,
-                    py * per_row, dy * per_row, rows,
+                    flags, px / wide, dx / wide, wide, py / deep, dy / deep, deep,
+                    tiles_at, columns, rows,
                 )  # fmt: skip
             else:
                 flat_block(
                     line + at, depths + at, texture_at, x, last_x,
                     inverse, px * per_u, dx * per_u, py * per_v, dy * per_v, each, red, green,
-                    blue, solid,
+                    blue, solid, flags, px / wide, dx / wide, wide, py / deep, dy / deep, deep,
                 )  # fmt: skip

@@ -13,7 +13,7 @@ from zipf.envs.render3d.blocks import (
 from zipf.envs.render3d.lanes import LANES
 from zipf.envs.render3d.optics import FADE2, MESH_DARK, MESH_SUN, NEAR, PATTERN
 from zipf.envs.render3d.textures import SIZE
-from zipf.envs.render3d.triangles import draw_cut_triangle, draw_triangle
+from zipf.envs.render3d.triangles import draw_cut_triangle, draw_smooth_triangle, draw_triangle
 
 _PER_METRE = SIZE / PATTERN  # texels of a pattern
 # Added to coordinates, so that no texel has a negative number, and a texture's middle is at x = 0
@@ -95,6 +95,16 @@ def draw_instance(
             source + k, planes.strides[0], target + k, eye_x, eye_y, eye_z, sun_x, sun_y, sun_z,
             base, slope,
         )  # fmt: skip
+    if pattern < 0:
+        # Normals at corners face the eye as far as is known: the last line of `corners` is -1.
+        corner_lit = buffers.corner_lit
+        source, target = address(meshes.corners) + 12 * first, address(corner_lit)
+        zero = np.float32(0.0)
+        for k in range(0, 12 * (last - first), 4 * LANES):
+            light_block(
+                source + k, meshes.corners.strides[0], target + k, zero, zero, zero, sun_x, sun_y,
+                sun_z, base, slope,
+            )  # fmt: skip
     no_growth = np.float32(0.0)
     count = 0
     for k in range(last - first):
@@ -103,22 +113,24 @@ def draw_instance(
     cut = middle[2] - radius <= NEAR
     if pattern >= 0:
         _measure(eye_x, eye_y, eye_z, scale, projection.focal, planes, first, front, count, buffers)
-    if not cut:
-        x, y, inverse = seen[3], seen[4], seen[5]
-        for n in range(count):
-            k = front[n]
-            a, b, c = triangles[first + k, 0], triangles[first + k, 1], triangles[first + k, 2]
+    x, y, inverse = seen[3], seen[4], seen[5]
+    for n in range(count):
+        k = front[n]
+        a, b, c = triangles[first + k, 0], triangles[first + k, 1], triangles[first + k, 2]
+        part = meshes.parts[first + k]
+        if cut:
+            paint = _paint(palette, part, lit[k], pattern, k)
+            draw_cut_triangle(seen, a, b, c, projection, buffers.corners, paint, no_growth, canvas)
+        elif pattern < 0 and meshes.smooth[first + k]:
+            draw_smooth_triangle(
+                x[a], y[a], inverse[a], corner_lit[3 * k], x[b], y[b], inverse[b],
+                corner_lit[3 * k + 1], x[c], y[c], inverse[c], corner_lit[3 * k + 2],
+                palette[part], canvas,
+            )  # fmt: skip
+        else:
             draw_triangle(
                 x[a], y[a], inverse[a], x[b], y[b], inverse[b], x[c], y[c], inverse[c],
-                _paint(palette, meshes.parts[first + k], lit[k], pattern, k), no_growth, canvas,
-            )  # fmt: skip
-    else:
-        for n in range(count):
-            k = front[n]
-            draw_cut_triangle(
-                seen, triangles[first + k, 0], triangles[first + k, 1], triangles[first + k, 2],
-                projection, buffers.corners,
-                _paint(palette, meshes.parts[first + k], lit[k], pattern, k), no_growth, canvas,
+                _paint(palette, part, lit[k], pattern, k), no_growth, canvas,
             )  # fmt: skip
     if pattern >= 0:
         bounds = (0, canvas.width - 1, 0, canvas.height - 1)

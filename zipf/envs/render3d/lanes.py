@@ -6,7 +6,11 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
+from zipf.envs.render3d.textures import SIZE
+
 LANES = 16
+ENLARGED = 0.2
+"""Pixels that cover less of a texel show a mixture of texels."""
 
 INT = ir.IntType(32)
 FLOAT = ir.FloatType()
@@ -169,13 +173,58 @@ class Code:
         both = lit.like(1.0) / (inverse * lit)
         return lit * both, square * inverse * both
 
-    def texel(self, texels_each: Vector, u: Vector, v: Vector) -> Vector:
-        """The offset of the texel u, v in a texture, for pixels that cover so many texels."""
-        # Half of the exponent of the number of texels, which starts at bit 23 and is biased by 127.
-        level = (texels_each.most(1.0).least(4096.0).bits() - (127 << 23)) >> 24
-        iu = u.truncated() & 63
-        iv = v.truncated() & 63
-        return ((iv >> level) << 7) + (iu >> level) + 128 - (level.like(128) >> level)
+    def sample(
+        self, texels: Any, texels_each: Vector, u: Vector, v: Vector, start: Vector | None = None
+    ) -> Vector:
+        """What textures show at u, v to pixels that cover so many texels each. Textures begin at
+        the offset `start` (None: 0); see `pack_textures`.
+
+        A pixel shows one texel of a smaller version, which the filter of that version makes smooth.
+        Where a texel is larger than several pixels, the nearest four are mixed.
+        """
+        # Half of the exponent of half the number of texels, which starts at bit 23 and is biased
+        # by 127: a pixel covers from two to eight texels of the version that it shows.
+        level = (texels_each.most(2.0).least(2.0 * SIZE * SIZE).bits() - (128 << 23)) >> 24
+        line = level.like(SIZE.bit_length() - 1) - level
+        row, column = ((at.truncated() & SIZE - 1) >> level for at in (v, u))
+        index = (((level.like(1) << line) + row) << line) + column
+        if start is not None:
+            index = index + start
+        small = self.look_up(texels, index, INT)
+        before = self.builder.block
+        enlarged = texels_each < ENLARGED
+        with self.builder.if_then(enlarged.any()):
+            first = level.like(SIZE * SIZE) if start is None else start + SIZE * SIZE
+            columns, right = self._neighbours(u)
+            rows, below = self._neighbours(v)
+            top, bottom = (
+                self._mixed(
+                    self.look_up(texels, first + row * SIZE + columns[0], INT),
+                    self.look_up(texels, first + row * SIZE + columns[1], INT),
+                    right,
+                )
+                for row in rows
+            )
+            mixed = enlarged.choose(self._mixed(top, bottom, below), small)
+            inside = self.builder.block
+        shown = self.builder.phi(small.value.type)
+        shown.add_incoming(small.value, before)
+        shown.add_incoming(mixed.value, inside)
+        return Vector(self.builder, shown)
+
+    def _neighbours(self, at: Vector) -> tuple[tuple[Vector, Vector], Vector]:
+        """The two texels whose middles are around a coordinate, and the share of the second, in
+        256ths. Coordinates are above -SIZE."""
+        place = (at * 256.0 + (SIZE * 256.0 - 128.0)).truncated()
+        first = place >> 8
+        return (first & SIZE - 1, (first + 1) & SIZE - 1), place & 255
+
+    def _mixed(self, one: Vector, two: Vector, share: Vector) -> Vector:
+        """Two colours mixed: so many 256ths of the second."""
+        rest = share.like(256) - share
+        evens = (one & 0xFF00FF) * rest + (two & 0xFF00FF) * share + 0x800080
+        odds = ((one >> 8) & 0xFF00FF) * rest + ((two >> 8) & 0xFF00FF) * share + 0x800080
+        return ((evens >> 8) & 0xFF00FF) | (odds & -0xFF0100)
 
     def shade(self, texels: Vector, light: Sequence[Vector]) -> Vector:
         """Colours 0x00BBGGRR times three factors of at most 1."""

@@ -22,6 +22,9 @@ FADE = 14.0  # distance at which half of the light is left, metres
 
 PATTERN = 0.32  # after how many metres a pattern on a mesh repeats
 
+STRIP, STRIP_DARK = 0.2, 0.4
+"""Where a wall meets a floor both are darker: up to which distance from there, metres, and which
+share of the light they lack at the edge."""
 SHADOW_DEPTH = 0.005
 """A shadow lies on everything whose height differs from its own by no more than this, metres."""
 

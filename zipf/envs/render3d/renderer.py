@@ -23,7 +23,7 @@ class Renderer:
 
     Args:
         meshes: the atlas that the scenes' instances index.
-        textures: uint8 [K, 64, 64, 4], RGBA; or what `pack_textures` has made of them, which
+        textures: uint8 [K, 128, 128, 4], RGBA; or what `pack_textures` has made of them, which
             several renderers may share.
         width, height: of the images, in pixels.
         fov: the horizontal field of view, in degrees.
@@ -107,6 +107,7 @@ class Renderer:
             (
                 np.zeros((6, self._most_vertices + LANES), np.float32),
                 np.zeros(self._most_triangles + LANES, np.float32),
+                np.zeros(3 * self._most_triangles + LANES, np.float32),
                 np.zeros(self._most_triangles + 1, np.int32),
                 np.zeros(self._most_triangles + LANES, np.int32),
                 np.zeros(self._most_triangles + LANES, np.float32),

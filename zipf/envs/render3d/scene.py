@@ -14,6 +14,11 @@ from zipf.envs.render3d.optics import UNIT_SUN
 TWO_SIDED = 1  # a wall or flat that is visible from both sides
 SEE_THROUGH = 2  # a wall or flat whose texels with an alpha below 128 are holes
 FACES_DOWN = 4  # a flat that is visible from below: a ceiling
+GROUNDED = 8  # a wall that stands on a floor, where it is dark at its foot
+EAST, NORTH, WEST, SOUTH = 16, 32, 64, 128
+"""Flats with a wall at this side, where they are dark."""
+TILE_TEXTURE, TILE_SIDES = 2047, 7
+"""A tile is a texture, with the flags EAST .. SOUTH that hold for it so many bits higher."""
 SCREEN = -2  # the texture of a wall that shows its env's `Scenes.screen`
 
 
@@ -46,7 +51,7 @@ class Scenes:
     - `flat_repeat` float32 [N, F]: metres per repeat; 0: once over the flat, or over each tile
     - `flat_tint` uint8 [N, F, 3]
     - `flat_count` int32 [N]
-    - `tiles` int16 [N, tile_cells]: textures of tiles (negative: a hole)
+    - `tiles` int16 [N, tile_cells]: textures of tiles (negative: a hole), see TILE_SIDES
     - `mesh` int32 [N, M]: index into the atlas; -1 (initially): nothing
     - `position` float32 [N, M, 3]; `rotation` float32 [N, M, 3, 3] (initially the identity);
       `scale` float32 [N, M] (initially 1): env = rotation @ (scale * vertex) + position

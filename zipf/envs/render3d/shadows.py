@@ -11,6 +11,26 @@ from zipf.envs.render3d.optics import FAR, NEAR, SHADOW_DEPTH
 from zipf.envs.render3d.rounding import ceil, floor
 from zipf.envs.render3d.spans import narrow
 
+DARKNESS = 0.55
+_INNER = 0.6
+"""Share of an object's footprint."""
+_SOFTNESS = 0.07  # how far a shadow reaches beyond an object on the floor, metres
+_SPREAD = 0.25  # how much farther for every metre of height
+_FAINT = 0.5  # height at which half of the darkness is left, metres
+
+
+@compiled(references=False)
+def cast(shadow, x, y, z, angle, half_length, half_width, height):
+    """Writes a row of `Scenes.shadows`: that of an object of this footprint, so high above z.
+
+    It is darkest below the inner part of the object, and fainter and softer the higher that is;
+    the numbers are ours.
+    """
+    shadow[0], shadow[1], shadow[2], shadow[3] = x, y, z, angle
+    shadow[4], shadow[5] = _INNER * half_length, _INNER * half_width
+    shadow[6] = (1 - _INNER) * min(half_length, half_width) + _SOFTNESS + _SPREAD * height
+    shadow[7] = DARKNESS / (1 + height / _FAINT)
+
 
 @compiled(references=False, error_model="numpy", fastmath=True)
 def draw_shadow(shadow, view, projection, image, width):
@@ -21,7 +41,7 @@ def draw_shadow(shadow, view, projection, image, width):
     """
     up = shadow[2] - view.z
     darkness = shadow[7]
-    if darkness <= 0.0 or up >= 0.0:
+    if up >= 0.0:
         return
     soft = np.float64(shadow[6])
     half_length, half_width = np.float64(shadow[4]), np.float64(shadow[5])

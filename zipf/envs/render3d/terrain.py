@@ -15,6 +15,7 @@ from zipf.compiled import compiled
 from zipf.envs.render3d.blocks import address, cell_block, terrain_block, vertex_block
 from zipf.envs.render3d.lanes import LANES
 from zipf.envs.render3d.optics import FADE2, MESH_DARK, MESH_SUN, NEAR, light_on
+from zipf.envs.render3d.textures import SIZE
 from zipf.envs.render3d.triangles import draw_cut_triangle, draw_triangle
 
 _GROW = np.float32(1e-3)  # pixels: triangles that reach far outside the image are rounded more
@@ -60,7 +61,7 @@ def draw_terrain(
     width, height = canvas.width, canvas.height
     stride = line.shape[1]
     side = (middle_x + 1.0) / focal
-    per_texel = 64.0 / (repeat if repeat > 0.0 else size)
+    per_texel = SIZE / (repeat if repeat > 0.0 else size)
     texels_each = per_texel * per_texel * da * da
     per_size = 1.0 / size
     dx, dz = west - eye_x, -eye_z

@@ -1,4 +1,4 @@
-"""Procedural textures: 64 x 64 RGBA images that repeat without a seam.
+"""Procedural textures: RGBA images that repeat without a seam.
 
 Their contrast is low, so that objects stand out against walls and floors.
 """
@@ -9,19 +9,22 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-SIZE = 64
+SIZE = 128
+"""Texels in a line of a texture, and lines; a power of 2."""
 
-_Y, _X = np.mgrid[0:SIZE, 0:SIZE]
+Y, X = np.mgrid[0:SIZE, 0:SIZE] * (64 / SIZE) + (32 / SIZE - 0.5)
+"""Rows and columns of the texels' middles in 64ths of a texture, where 0 is the middle of the first
+and 63 that of the last. Patterns are made of such units, and do not depend on SIZE."""
 
 
-def _noise(seed: int, cells: int) -> NDArray[np.float64]:
-    """Smooth noise [64, 64] in -1 .. 1 that wraps around, with features of 64 / cells texels."""
-    values = np.random.default_rng(seed).uniform(-1.0, 1.0, (cells, cells))
-    y, x = _Y * cells / SIZE, _X * cells / SIZE
-    row, column = y.astype(int), x.astype(int)
+def _noise(seed: int, rows: int, columns: int) -> NDArray[np.float64]:
+    """Smooth noise in -1 .. 1 that wraps around, of so many features down and across."""
+    values = np.random.default_rng(seed).uniform(-1.0, 1.0, (rows, columns))
+    y, x = Y * rows / 64, X * columns / 64
+    row, column = np.floor(y).astype(int), np.floor(x).astype(int)
     v, u = y - row, x - column
     v, u = v * v * (3 - 2 * v), u * u * (3 - 2 * u)
-    below, right = (row + 1) % cells, (column + 1) % cells
+    below, right = (row + 1) % rows, (column + 1) % columns
     top = values[row, column] * (1 - u) + values[row, right] * u
     bottom = values[below, column] * (1 - u) + values[below, right] * u
     return top * (1 - v) + bottom * v
@@ -29,87 +32,138 @@ def _noise(seed: int, cells: int) -> NDArray[np.float64]:
 
 def _grain(seed: int) -> NDArray[np.float64]:
     """Noise at several scales, -1 .. 1."""
-    return sum(_noise(seed + i, cells) * w for i, (cells, w) in enumerate(_OCTAVES))  # type: ignore[return-value]
+    return sum(_noise(seed + i, cells, cells) * w for i, (cells, w) in enumerate(_OCTAVES))  # type: ignore[return-value]
 
 
 _OCTAVES = ((4, 0.35), (8, 0.3), (16, 0.2), (64, 0.15))
 
 
-def _paint(colour: tuple[int, int, int], light: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """An opaque image of `colour` times `light` [64, 64]."""
+def painted(colour: tuple[int, int, int], light: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """An opaque image of `colour` times `light` [SIZE, SIZE]."""
     image = np.full((SIZE, SIZE, 4), 255, np.uint8)
     image[..., :3] = np.clip(np.asarray(colour) * light[..., None], 0, 255)
     return image
 
 
-def _mix(
-    first: NDArray[np.uint8], second: NDArray[np.uint8], where: NDArray[np.bool_]
-) -> NDArray[np.uint8]:
-    return np.where(where[..., None], second, first)
+def _cells(size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the squares of `size` units that texels are in; those before the first
+    count as the last."""
+    return np.floor(Y / size).astype(int), np.floor(X / size).astype(int)
 
 
 def plaster(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    return _paint(colour, 1 + 0.06 * _grain(seed))
+    return painted(colour, 1 + 0.06 * _grain(seed))
 
 
 def wallpaper(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
     """Small diamonds in rows."""
-    diamonds = (abs(_X % 16 - 7.5) + abs((_Y + 8 * (_X // 16 % 2)) % 16 - 7.5)) < 5
-    return _paint(colour, 1 + 0.03 * _grain(seed) - 0.12 * diamonds)
+    diamonds = (abs(X % 16 - 7.5) + abs((Y + 8 * (X // 16 % 2)) % 16 - 7.5)) < 5
+    return painted(colour, 1 + 0.03 * _grain(seed) - 0.12 * diamonds)
 
 
 def stripes(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    return _paint(colour, 1 + 0.03 * _grain(seed) - 0.12 * (_X % 16 < 8))
+    return painted(colour, 1 + 0.03 * _grain(seed) - 0.12 * (X % 16 < 8))
 
 
 def planks(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
     """Four horizontal boards, each with one joint."""
-    board = _Y // 16
+    board, _ = _cells(16)
     rng = np.random.default_rng(seed)
-    shade, start = rng.uniform(-0.08, 0.08, (4, 2)), rng.integers(0, 64, 4)
-    half = ((_X - start[board]) % SIZE >= 32).astype(int)
-    grain = _noise(seed, 32)[_Y, (_X // 8 + 5 * board) % SIZE]
-    seam = (_Y % 16 == 0) | ((_X - start[board]) % 32 == 0)
-    return _paint(colour, 1 + shade[board, half] + 0.06 * grain - 0.3 * seam)
+    light, start = rng.uniform(-0.08, 0.08, (4, 2)), rng.integers(0, 64, 4)
+    half = ((X - start[board]) % 64 >= 32).astype(int)
+    grain = _noise(seed, 32, 4)
+    seam = (Y % 16 < 1) | ((X - start[board]) % 32 < 1)
+    return painted(colour, 1 + light[board, half] + 0.06 * grain - 0.3 * seam)
 
 
 def tiles(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    shade = np.random.default_rng(seed).uniform(-0.05, 0.05, (4, 4))[_Y // 16, _X // 16]
-    seam = (_Y % 16 == 0) | (_X % 16 == 0)
-    return _paint(colour, 1 + shade + 0.03 * _grain(seed) - 0.22 * seam)
+    light = np.random.default_rng(seed).uniform(-0.05, 0.05, (4, 4))[_cells(16)]
+    seam = (Y % 16 < 1) | (X % 16 < 1)
+    return painted(colour, 1 + light + 0.03 * _grain(seed) - 0.22 * seam)
 
 
 def carpet(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    return _paint(colour, 1 + 0.1 * _noise(seed, 64) + 0.06 * _noise(seed + 1, 16))
+    return painted(colour, 1 + 0.1 * _noise(seed, 64, 64) + 0.06 * _noise(seed + 1, 16, 16))
 
 
 def brick(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    row = _Y // 8
-    x = (_X + 8 * (row % 2)) % SIZE
-    shade = np.random.default_rng(seed).uniform(-0.1, 0.1, (8, 4))[row, x // 16]
-    mortar = (_Y % 8 == 0) | (x % 16 == 0)
-    bricks = _paint(colour, 1 + shade + 0.05 * _grain(seed))
-    return _mix(bricks, _paint((196, 190, 180), 1 + 0.05 * _grain(seed + 9)), mortar)
+    row, _ = _cells(8)
+    x = (X + 8 * (row % 2)) % 64
+    light = np.random.default_rng(seed).uniform(-0.1, 0.1, (8, 4))[row, (x // 16).astype(int)]
+    mortar = (Y % 8 < 1) | (x % 16 < 1)
+    bricks = painted(colour, 1 + light + 0.05 * _grain(seed))
+    joints = painted((196, 190, 180), 1 + 0.05 * _grain(seed + 9))
+    return np.where(mortar[..., None], joints, bricks)
 
 
 def checker(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    return _paint(colour, 1 + 0.03 * _grain(seed) - 0.2 * ((_X // 16 + _Y // 16) % 2))
+    return painted(colour, 1 + 0.03 * _grain(seed) - 0.2 * ((X // 16 + Y // 16) % 2))
+
+
+def honeycomb(across: int) -> NDArray[np.float64]:
+    """How much farther the second nearest middle of a honeycomb is than the nearest, units. Cells
+    are 2 * `across` units wide and high, and the honeycomb repeats."""
+    far = np.sort(
+        [
+            np.hypot(X - across * (2 * c + r % 2), Y - 2 * across * r)
+            for r in range(-1, 32 // across + 2)
+            for c in range(-1, 32 // across + 2)
+        ],
+        axis=0,
+    )
+    return far[1] - far[0]
 
 
 def hexagons(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    """A honeycomb, 4 cells wide and 4 high: each texel belongs to its nearest centre."""
-    centres = [(8 * (2 * c + r % 2), 16 * r) for r in range(-1, 6) for c in range(-1, 6)]
-    far = np.sort([np.hypot(_X - x, _Y - y) for x, y in centres], axis=0)
-    return _paint(colour, 1 + 0.04 * _grain(seed) - 0.2 * (far[1] - far[0] < 1.6))
+    """A honeycomb, 4 cells wide and 4 high."""
+    return painted(colour, 1 + 0.04 * _grain(seed) - 0.2 * (honeycomb(8) < 1.6))
 
 
 def fence(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
     """Upright bars and two rails, with holes between them."""
-    bars = _X % 16 < 5
-    rails = (_Y % 32 >= 12) & (_Y % 32 < 17)
-    light = 1 + 0.05 * _grain(seed) - 0.25 * (bars & (_X % 16 == 4)) - 0.1 * rails
-    image = _paint(colour, light)
+    bars = X % 16 < 5
+    rails = (Y % 32 >= 12) & (Y % 32 < 17)
+    light = 1 + 0.05 * _grain(seed) - 0.25 * (bars & (X % 16 >= 4)) - 0.1 * rails
+    image = painted(colour, light)
     image[..., 3] = np.where(bars | rails, 255, 0)
+    return image
+
+
+def skirting(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+    """A board with a bead along its top."""
+    return painted(colour, 0.94 + 0.06 * (Y < 14) - 0.25 * ((Y >= 14) & (Y < 20)))
+
+
+def window(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+    """A frame with four panes, through which hills and the sky are seen."""
+    edge = np.minimum(np.minimum(X, 63 - X), np.minimum(Y, 63 - Y))
+    bars = np.minimum(abs(X - 31.5), abs(Y - 31.5))
+    frame = painted(colour, 1 - 0.15 * ((edge >= 3) & (edge < 4.5)) - 0.12 * (Y > 60))
+    sky = np.stack([150 + Y, 190 + 0.7 * Y, 232 + 0.2 * Y], -1)
+    hills = 42 + 4 * np.sin(X / 9) + 2 * np.sin(X / 4 + 1) < Y
+    meadow = np.array((112, 158, 96)) * (1 + 0.004 * (Y[..., None] - 50))
+    frame[..., :3] = np.where(
+        ((edge < 4.5) | (bars < 1.5))[..., None],
+        frame[..., :3],
+        np.where(hills[..., None], meadow, np.clip(sky, 0, 255)),
+    )
+    return frame
+
+
+def picture(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
+    """A boat on the sea under the sun, in a frame with a mount."""
+    edge = np.minimum(np.minimum(X, 63 - X), np.minimum(Y, 63 - Y))
+    image = painted(colour, 1 - 0.3 * ((edge >= 3.5) & (edge < 4.5)))
+    for where, paint in (
+        (edge >= 4.5, (236, 232, 222)),
+        (edge >= 10, (196, 214, 222)),
+        ((edge >= 10) & (np.hypot(X - 46, Y - 20) < 4.5), (226, 178, 92)),
+        ((edge >= 10) & (42 + np.sin(X / 2) < Y), (96, 136, 158)),
+        ((abs(X - 28) < 11 - 0.8 * (Y - 38)) & (Y >= 38) & (Y < 44), (134, 92, 66)),
+        ((X >= 28.5) & (X - 28.5 < 0.45 * (Y - 16)) & (Y < 36.5), (214, 204, 186)),
+        ((X < 27) & (27 - X < 0.35 * (Y - 20)) & (Y < 36.5), (186, 120, 100)),
+    ):
+        image[where, :3] = paint
     return image
 
 
@@ -134,6 +188,9 @@ _TEXTURES: dict[str, tuple[Callable[..., NDArray[np.uint8]], tuple[int, int, int
     "ceiling": (plaster, (236, 234, 228)),
     "white": (plaster, (245, 245, 245)),
     "fence": (fence, (150, 112, 74)),
+    "skirting": (skirting, (236, 230, 218)),
+    "window": (window, (240, 238, 232)),
+    "picture": (picture, (120, 88, 60)),
 }
 
 NAMES: tuple[str, ...] = tuple(_TEXTURES)
@@ -148,9 +205,9 @@ def index(name: str) -> int:
 
 @cache
 def stack() -> NDArray[np.uint8]:
-    """All textures in the order of `NAMES`, uint8 [K, 64, 64, 4]; alpha 0 marks holes.
+    """All textures in the order of `NAMES`, uint8 [K, SIZE, SIZE, 4]; alpha 0 marks holes.
     Computed once; the array is read-only."""
-    painted = [paint(colour, 16 * i) for i, (paint, colour) in enumerate(_TEXTURES.values())]
-    stacked = np.stack(painted)
+    images = [paint(colour, 16 * i) for i, (paint, colour) in enumerate(_TEXTURES.values())]
+    stacked = np.stack(images)
     stacked.flags.writeable = False
     return stacked

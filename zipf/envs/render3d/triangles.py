@@ -3,7 +3,7 @@
 import numpy as np
 
 from zipf.compiled import compiled
-from zipf.envs.render3d.blocks import TRIANGLE_LANES, triangle_block
+from zipf.envs.render3d.blocks import TRIANGLE_LANES, smooth_triangle_block, triangle_block
 from zipf.envs.render3d.optics import NEAR
 from zipf.envs.render3d.rounding import ceil, floor
 
@@ -46,6 +46,49 @@ def draw_triangle(ax, ay, az, bx, by, bz, cx, cy, cz, paint, grow, canvas):
         b += b_y
         c += c_y
         z += dz_row
+        start += canvas.stride
+
+
+@compiled(references=False, error_model="numpy", fastmath=True)
+def draw_smooth_triangle(ax, ay, az, al, bx, by, bz, bl, cx, cy, cz, cl, colour, canvas):
+    """Like `draw_triangle`, in a colour, float32 [3], in the light al, bl, cl at the corners."""
+    left = max(ceil(min(ax, bx, cx)), 0)
+    right = min(floor(max(ax, bx, cx)), canvas.width - 1)
+    top = max(ceil(min(ay, by, cy)), 0)
+    bottom = min(floor(max(ay, by, cy)), canvas.height - 1)
+    if left > right or top > bottom:
+        return
+    a_x, a_y = by - ay, ax - bx
+    b_x, b_y = cy - by, bx - cx
+    c_x, c_y = ay - cy, cx - ax
+    area = a_x * c_y - a_y * c_x
+    if area <= 0.0:
+        return
+    per_area = np.float32(1.0) / area
+    dz = ((cz - az) * a_x + (bz - az) * c_x) * per_area
+    dz_row = ((cz - az) * a_y + (bz - az) * c_y) * per_area
+    dl = ((cl - al) * a_x + (bl - al) * c_x) * per_area
+    dl_row = ((cl - al) * a_y + (bl - al) * c_y) * per_area
+    px, py = np.float32(left), np.float32(top)
+    a = a_x * (px - ax) + a_y * (py - ay) + _EDGE
+    b = b_x * (px - bx) + b_y * (py - by) + _EDGE
+    c = c_x * (px - cx) + c_y * (py - cy) + _EDGE
+    z = az + dz * (px - ax) + dz_row * (py - ay)
+    light = al + dl * (px - ax) + dl_row * (py - ay)
+    red, green, blue = colour[0], colour[1], colour[2]
+    start = top * canvas.stride + left
+    for _ in range(top, bottom + 1):
+        for x in range(0, right - left + 1, TRIANGLE_LANES):
+            at = 4 * (start + x)
+            smooth_triangle_block(
+                canvas.colour + at, canvas.depth + at, x, z, dz, a, a_x, b, b_x, c, c_x, light, dl,
+                red, green, blue,
+            )  # fmt: skip
+        a += a_y
+        b += b_y
+        c += c_y
+        z += dz_row
+        light += dl_row
         start += canvas.stride
 
 

@@ -13,13 +13,15 @@ from zipf.envs.render3d.optics import (
     GROW,
     NEAR,
     OPAQUE,
+    STRIP,
     SURFACE_DARK,
     SURFACE_SUN,
     light_on,
 )
 from zipf.envs.render3d.rounding import ceil, floor
-from zipf.envs.render3d.scene import SCREEN, SEE_THROUGH, TWO_SIDED
+from zipf.envs.render3d.scene import GROUNDED, SCREEN, SEE_THROUGH, TWO_SIDED
 from zipf.envs.render3d.spans import narrow_rows
+from zipf.envs.render3d.textures import SIZE
 
 
 @compiled(references=False, error_model="numpy", fastmath=True)
@@ -92,8 +94,8 @@ def draw_wall(
             low, high, colour, depth,
         )  # fmt: skip
         return
-    per_u = 64.0 / repeat[0] if repeat[0] > 0.0 else 64.0 / (length + 2 * GROW)
-    per_v = 64.0 / repeat[1] if repeat[1] > 0.0 else 64.0 / (tall + 2 * GROW)
+    per_u = SIZE / repeat[0] if repeat[0] > 0.0 else SIZE / (length + 2 * GROW)
+    per_v = SIZE / repeat[1] if repeat[1] > 0.0 else SIZE / (tall + 2 * GROW)
     shift_u = 0.0 if repeat[0] > 0.0 else GROW
     shift_v = 0.0 if repeat[1] > 0.0 else GROW
     u, du_row, du = (
@@ -115,6 +117,8 @@ def draw_wall(
     # A pixel covers area * t**3 texels.
     area = per_u * per_v * da * da / abs(distance)
     solid = 0 if flags & SEE_THROUGH else OPAQUE
+    foot = per_v * (tall + shift_v - STRIP)
+    per_foot = 1.0 / (per_v * STRIP) if flags & GROUNDED else 0.0
     texture_at = address(texels) + 4 * texels.shape[1] * texture
     line, depths = address(colour), address(depth)
     line_bytes = 4 * colour.shape[1]
@@ -131,7 +135,7 @@ def draw_wall(
             at = y * line_bytes + 4 * x
             wall_block(
                 line + at, depths + at, texture_at, x, last, z_row, dz32, u_row, du32,
-                v_row, dv32, area, FADE2, red, green, blue, solid,
+                v_row, dv32, area, FADE2, foot, per_foot, red, green, blue, solid,
             )  # fmt: skip
 
 

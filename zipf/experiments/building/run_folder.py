@@ -147,6 +147,7 @@ def write_description(
         "torch": torch.__version__,
         "python": platform.python_version(),
         "device": _device_name(config.torch_device),
+        "images": len(envs.family_of_split(split.name).image_changes),
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }
     resumed: list[dict[str, Any]] = []
@@ -325,6 +326,22 @@ def read_description(folder: Path) -> dict[str, Any]:
         raise UserError(f"{folder!s:.200}: cannot be read: {error.strerror}") from None
     results.read_description(path)
     return json.loads(path.read_text(encoding="utf-8-sig"))
+
+
+def other_images(folder: Path) -> str | None:
+    """A line for a run that was trained, at least in part, on other images than its family has now;
+    None for others. Raises `UserError` as `read_description`."""
+    description = read_description(folder)
+    family = envs.family_of_split(description["split"])
+    parts = [description, *description.get("resumed", [])]
+    version = min(part.get("images") or 0 for part in parts)
+    if not (changes := family.image_changes[version:]):
+        return None
+    there = f"{str(family.id).rpartition('-v')[0]}-v{version}"
+    return (
+        f"{folder}: was trained on the images of {there}, and {family.id} has others "
+        f"({'; '.join(changes)}): scores on them differ"
+    )
 
 
 def last_command(folder: Path) -> str:

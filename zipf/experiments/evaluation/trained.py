@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -175,10 +176,14 @@ def load_agent(
     Raises:
         UserError: the folder holds no run or neither file, or the file is damaged or was made with
             other options.
+
+    Warns by the logger `zipf` of a run that was trained on other images.
     """
     composing.load_plugins(plugins)
     folder = Path(folder).expanduser()
     config = run_folder.read_config(folder, plugins).model_copy(update={"device": device})
+    if line := run_folder.other_images(folder):
+        logging.getLogger("zipf").warning(line)
     path = run_folder.agent_file(folder)
     saved = checkpoint.load(path)
     of_checkpoint = path.name == "checkpoint.pt"

@@ -257,6 +257,8 @@ class Run:
                 "precision=bfloat16: this device has no instructions for it and takes several "
                 "times as long as with precision=float32"
             )
+        if self.learner.is_first and (line := run_folder.other_images(self.folder)):
+            self.outputs.warn(line)
         if self._pretrained:
             tell(pretrained.message(self._pretrained))
         for note in self._notes:

@@ -38,6 +38,7 @@ from zipf.envs.labyrinth.lasertag.arena import (
 from zipf.envs.labyrinth.materials import Colour
 from zipf.envs.labyrinth.mover import BELOW
 from zipf.envs.labyrinth.state import YAW, X, Y, Z
+from zipf.envs.render3d.shadows import cast
 
 SEGMENTS, DASHES, DASH = 36, 12, 50.0
 """Segments of which shots are drawn: how many, at most for one shot, their least distance."""
@@ -66,6 +67,7 @@ _HEAD_AT = 36.0  # above the soles
 _DEAD_EYE = 8.0  # above the ground
 _SPEED = 180.0  # of a bolt of Rapid, units per frame
 _METRES = 0.01
+_WIDE = 0.2  # half width of an opponent's shadow, metres
 
 
 class Pictures(NamedTuple):
@@ -80,6 +82,7 @@ class Pictures(NamedTuple):
     overlays: NDArray[np.float32]
     overlay_colours: NDArray[np.uint8]
     overlay_count: NDArray[np.int32]
+    shadows: NDArray[np.float32]
 
 
 def opponents_colours(hue: int) -> list[tuple[Colour, Colour]]:
@@ -123,9 +126,13 @@ def pose(mask, items, clock, combat, meshes, pictures):
         pictures.mesh[i, items:] = -1
         at = items
         for f in range(1, combat.fighters[i]):
+            shadow = pictures.shadows[i, items + f - 1]
+            shadow[7] = 0.0
             if combat.status[i, f, TAGGED_AT] < 0:
                 body = combat.bodies[i, f]
                 soles = body[Z] - BELOW
+                x, y = body[X] * _METRES, body[Y] * _METRES
+                cast(shadow, x, y, 0.0, 0.0, _WIDE, _WIDE, max(soles, 0.0) * _METRES)
                 for part in range(2):
                     k = at + 2 * (f - 1) + part
                     lift = _HEAD_AT if part else 0.0
