@@ -877,3 +877,46 @@ def test_the_papers_titles_are_those_of_the_conditions() -> None:
 
 def rows_of_paper(split: envs.Split) -> set[str]:
     return set(paper.paper_table(split.paper).rows) if split.paper else set()
+
+
+# --- conditions that are chosen --------------------------------------------------------------
+
+
+def test_chosen_conditions_are_shown_in_their_order(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for condition in ("impala", "r2d2", "impala_mlp", "impala_mlp,agent.discount=0.9"):
+        write_run(tmp_path, constant(0.5), condition=condition)
+    chosen = "r2d2,impala_mlp,agent.discount=0.9,IMPALA"  # a name with a comma, and a title
+    (table,) = report.report([tmp_path], conditions=chosen).tables
+    assert [row.key for row in table.rows] == ["r2d2", "impala_mlp,agent.discount=0.9", "impala"]
+    (table,) = report.report([tmp_path], conditions=["impala_mlp*"]).tables
+    assert [row.key for row in table.rows] == ["impala_mlp", "impala_mlp,agent.discount=0.9"]
+    for option in ("conditions", "highlight"):
+        told = refusal(capsys, str(tmp_path), f"{option}=impala,vmpo")
+        assert "vmpo: no such condition; there are impala, " in told
+
+
+def test_claims_are_checked_on_request(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert report.main([str(runs), "claims=true"]) == 0
+    assert "Claims of the paper" in capsys.readouterr().out
+    assert (runs / "report/claims.csv").exists()
+    assert report.main([str(runs)]) == 0
+    assert "laims" not in capsys.readouterr().out
+    assert "laims" not in (runs / "report/report.md").read_text("utf-8")
+    assert not (runs / "report/claims.csv").exists()
+
+
+def test_titles_do_not_repeat_what_the_table_says(tmp_path: Path) -> None:
+    """And the agent looks the same in both tables."""
+    for exponent, condition in ((2, "impala"), (0, "impala,environment.split=gridworld_zipf_0")):
+        levels = [level("train", f"gridworld/zipf_{exponent}"), *gridworld({})[1:]]
+        split = "gridworld" if exponent == 2 else "gridworld_zipf_0"
+        other = {"levels": levels, "split": split}
+        write_run(tmp_path / split, constant(0.1), condition=condition, **other)
+        write_run(tmp_path / split, constant(0.1), condition="r2d2", **other)
+    found = tables.score_tables(results.load_runs([tmp_path]))
+    assert [[row.title for row in table.rows] for table in found] == [["IMPALA", "R2D2"]] * 2
+    assert {row.agent for table in found for row in table.rows} == {"impala", "r2d2"}
+    names = {"gridworld_split_gridworld", "gridworld_split_gridworld_zipf_0"}
+    assert {table.name for table in found} == names

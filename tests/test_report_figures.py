@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from run_folders import (
     ROWS,
     SITUATIONS,
     constant,
+    gridworld,
     labels,
     level,
     only_table,
@@ -31,8 +33,16 @@ from run_folders import (
 
 from zipf import report
 from zipf.experiments.reporting import markdown, statistics
-from zipf.experiments.reporting.draw_matplotlib import STYLE
-from zipf.experiments.reporting.panels import COLOURS, LineStyle, line_styles
+from zipf.experiments.reporting.draw_matplotlib import STYLE, apart
+from zipf.experiments.reporting.panels import (
+    COLOURS,
+    OTHERS,
+    TOO_NEAR,
+    LineStyle,
+    _distance,
+    line_styles,
+    looks_of,
+)
 from zipf.experiments.reporting.situations import (
     baseline_by_rank,
     baseline_on_uniform,
@@ -475,3 +485,70 @@ def test_matplotlib_is_imported_whatever_it_is_set_to(
     )
     assert (told in made.stderr, bool(made.returncode)) == (True, bool(told)), made.stderr
     assert "Traceback" not in made.stderr
+
+
+# --- many rows -------------------------------------------------------------------------------
+
+
+def test_the_best_of_many_rows_are_in_colour_by_what_may_be_chosen_by(tmp_path: Path) -> None:
+    """By validation where there is one, else by training; never by what is reported."""
+    with_validation = [*gridworld(), level("validation", "v")]
+    for number in range(8):
+        others = (number / 10, 1 - number / 10, 1 - number / 10)
+        write_run(tmp_path / "a", {200: others}, condition=f"c{number}")
+        scores = {200: (*others, 1 - number / 10)}
+        more = {"levels": with_validation, "experiment": "validated"}
+        write_run(tmp_path / "b", scores, condition=f"c{number}", **more)
+    trained, validated = (only_table(tmp_path / one) for one in "ab")
+    looks = looks_of([trained, validated])
+    assert looks.coloured["gridworld"] == [f"c{number}" for number in range(2, 8)]
+    assert looks.rule["gridworld"] == "the 6 best by training score"
+    assert looks.coloured["validated"] == [f"c{number}" for number in range(6)]
+    assert looks.rule["validated"] == "the 6 best by validation score"
+    figure = picture_of(trained, "learning")
+    assert "2 others (in colour: the 6 best by training score)" in legend(figure)
+    assert {"c2", "c7"} <= set(labels(figure))
+    assert not {"c0", "c1"} & set(labels(figure))
+    chosen = looks_of([trained], ["c0", "c7"])
+    assert chosen.coloured["gridworld"] == ["c0", "c7"]
+    assert chosen.of(trained, trained.rows[1]).colour == OTHERS
+    assert len({chosen.styles[one].colour for one in ("c0", "c7")}) == 2
+
+
+def test_rows_in_colour_are_told_apart(tmp_path: Path) -> None:
+    """Imitation's own blue is nearly IMPALA's."""
+    for condition in ("impala", "imitation"):
+        write_run(tmp_path, constant(0.5), condition=condition)
+    table = only_table(tmp_path)
+    styles = looks_of([table]).styles
+    assert styles["impala"].colour == ROWS["impala"]["colour"].upper()
+    assert _distance(styles["impala"].colour, styles["imitation"].colour) > TOO_NEAR
+
+
+def test_a_pretrained_agents_curve_begins_at_the_frames_it_inherited(tmp_path: Path) -> None:
+    there = {"experiment": "gridworld", "condition": "impala", "seed": 0, "update": 300}
+    there |= {"frames": 1_000_000, "parts": ["encoder"]}
+    write_run(tmp_path, constant(0.5))
+    write_run(tmp_path, constant(0.6), condition="r2d2", pretrained=there)
+    figure = picture_of(only_table(tmp_path), "learning")
+    assert figure.axes[0].get_xlabel() == "Frames"
+    own, pretrained = figure.axes[0].lines[:2]
+    np.testing.assert_array_equal(own.get_xdata(), [409_600, 819_200, 1_228_800])
+    np.testing.assert_array_equal(pretrained.get_xdata(), [1_409_600, 1_819_200, 2_228_800])
+
+
+def test_labels_do_not_lie_on_each_other() -> None:
+    places = apart([0.5, 0.5, 0.52, 1.0, 1.0], [0.1] * 5)
+    assert all(high - low > 0.0999 for low, high in itertools.pairwise(places))
+    assert max(places) < 1
+    assert apart([0.2, 0.8], [0.1, 0.1]) == [0.2, 0.8]
+
+
+def test_lines_at_one_have_room_above(tmp_path: Path) -> None:
+    levels = [
+        level(kind, kind, expert=1.0, generalist=1.0) for kind in ("train", "uniform", "rare")
+    ]
+    write_run(tmp_path, constant(0.5), levels=levels)
+    figure = picture_of(only_table(tmp_path), "learning")
+    assert figure.axes[0].get_ylim()[1] > 1.04
+    assert "Generalist, Expert" in labels(figure)  # one line, not two on each other

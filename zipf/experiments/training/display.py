@@ -13,7 +13,7 @@ from rich.text import Text
 
 from zipf.envs import KINDS
 from zipf.experiments.evaluation.evaluator import Result, scores
-from zipf.experiments.training.clock import PARTS
+from zipf.experiments.training.clock import PARTS, shares
 
 
 class Display:
@@ -25,6 +25,7 @@ class Display:
         updates: to reach.
         update: those made already.
         frames_per_update: frames that one consumes.
+        takes_turns: whether collection and learning do, see `shares`.
         console: where to print; standard output by default.
     """
 
@@ -35,6 +36,7 @@ class Display:
         update: int,
         *,
         frames_per_update: int,
+        takes_turns: bool = True,
         console: Console | None = None,
     ):
         self.console = console or Console(highlight=False)
@@ -42,6 +44,7 @@ class Display:
         self.updates = updates
         self.update = update
         self.frames_per_update = frames_per_update
+        self.takes_turns = takes_turns
         self.live = self.console.is_terminal
         self.scores: dict[str, float] = {}
         self.metrics: dict[str, float] = {}
@@ -126,7 +129,9 @@ class Display:
         name = Text(self.name, style="bold", no_wrap=True, overflow="ellipsis")
         if not m:
             return Group(name, self.progress, scores)
-        split = "  ".join(f"{part} {m[f'time_{part}'] / m['seconds']:.0%}" for part in PARTS)
+        seconds = {part: m[f"time_{part}"] for part in PARTS}
+        known = shares(seconds, m["seconds"], self.takes_turns)
+        split = "  ".join(f"{part} {share}%" for part, share in known.items())
         return Group(name, self.progress, scores, f"[dim]time: {split}[/]")
 
 

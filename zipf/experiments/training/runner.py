@@ -41,7 +41,7 @@ from zipf.experiments.training.allocator import keep_freed_ram
 from zipf.experiments.training.clock import Clock, DeviceClock
 from zipf.experiments.training.display import Display
 from zipf.experiments.training.logger import Logger
-from zipf.experiments.training.rollouts import TensorRollouts
+from zipf.experiments.training.rollouts import SynchronousRollouts, TensorRollouts
 from zipf.experiments.training.runtime import LearnerLost, OnlyLearner, Runtime
 from zipf.experiments.training.signals import Stopped, StopSignals, sweep_has_ended
 
@@ -219,6 +219,7 @@ class Run:
             config.updates,
             self.update,
             frames_per_update=self.frames_per_update,
+            takes_turns=type(self.rollouts) in (SynchronousRollouts, TensorRollouts),
             console=None if self.learner.is_first else Console(quiet=True, force_terminal=False),
         )
         self.stop = StopSignals(self.display.say)
