@@ -148,7 +148,7 @@ def report(
 
     chosen = _checked(window, html)
     target = Path(output) if output is not None else Path(folders[0]) / "report"
-    runs, order = results.load_runs(folders), []
+    runs, order = results.load_runs(folders), list[str]()
     if conditions is not None:
         names = split_names(conditions, runs) if isinstance(conditions, str) else conditions
         runs, order = chosen_runs(runs, names)

@@ -166,14 +166,18 @@ def _draw(drawn: axes.Axes, panel: Panel, name: str) -> None:
             continue
         x, y = np.asarray(line.x, float), np.asarray(line.y, float)
         z = 1 if line.behind else 2
-        given = {"alpha": line.opacity, "zorder": z, "gid": name and f"line-{name}{number}"}
+        given: dict[str, Any] = {
+            "alpha": line.opacity,
+            "zorder": z,
+            "gid": name and f"line-{name}{number}",
+        }
         drawn.plot(x, y, **_style(line), **given)
         if name and line.points:
             gid = f"points-{name}{number}"
             drawn.plot(x, y, "o", color="#000000", markersize=9, alpha=0.01, zorder=5, gid=gid)
         if line.low is not None and line.high is not None:
             gid = name and f"line-{name}{number}-band"
-            band = {"color": line.colour, "alpha": 0.15, "linewidth": 0, "gid": gid}
+            band: dict[str, Any] = {"color": line.colour, "alpha": 0.15, "linewidth": 0, "gid": gid}
             drawn.fill_between(x, line.low, line.high, **band)
     for start, end in panel.x.shades:
         drawn.axvspan(start, end, color=SHADE, zorder=0, linewidth=0)
@@ -200,7 +204,7 @@ def _draw(drawn: axes.Axes, panel: Panel, name: str) -> None:
 def _end_labels(panel: Panel) -> list[tuple[int, str]]:
     """The lines with a label at their end, by their number, and the labels' texts."""
     return [
-        (number, textwrap.fill(line.title, LABEL_LETTERS))
+        (number, textwrap.fill(line.title, LABEL_LETTERS, max_lines=3, placeholder=" ..."))
         for number, line in enumerate(panel.lines)
         if line.labelled and line.is_drawn
     ]
@@ -311,7 +315,7 @@ def _heat_maps(chart: HeatMaps, on_page: bool) -> Figure:
         panels[lowest, column].set_xlabel(f"{chart.names[1].capitalize()} rank")
         panels[lowest, column].tick_params(labelbottom=True)
     # As tall as one map, however many there are.
-    bar = {
+    bar: dict[str, Any] = {
         "shrink": min(0.9, 2.4 / height),
         "aspect": 20 * min(0.9, 2.4 / height),
         "anchor": (0, 1),

@@ -306,31 +306,39 @@ def estimates(statistics: SeedStatistics, looks: Looks) -> Chart | None:
     known = frame[frame["statistic"] == IQM].set_index(["row", "level_kind"])
     panels = []
     for levels in table.kinds:
-        kind, lines = levels.level_kind, []
+        kind = levels.level_kind
+        lines: list[Line] = []
+        dot: dict[str, Any] = {"marker": "circle", "joined": False}
+        mark: dict[str, Any]
         of_kind = scores[scores["level_kind"] == kind].set_index("row")
         for row, place in zip(rows, places, strict=False):
             if row.key not in of_kind.index:
                 continue
-            colour, found = looks.of(table, row).colour, of_kind.loc[row.key]
-            paper = f"{row.title}: the paper {found['paper_value']:.2f}"
-            mark = {"key": "paper", "title": "The paper", "size": 4.5, "joined": False}
-            lines.append(
-                Line([found["paper_value"]], [place], GREY, marker="x", points=[paper], **mark)
-            )
-            value, text = found["shown"], f"{row.title}: {found['shown']:.2f}"
+            found: Any = of_kind.loc[row.key]
+            named: dict[str, Any] = {"colour": looks.of(table, row).colour, "key": f"row {row.key}"}
+            published = float(found["paper_value"])
+            mark = {
+                "marker": "x",
+                "size": 4.5,
+                "joined": False,
+                "key": "paper",
+                "title": "The paper",
+            }
+            text = f"{row.title}: the paper {published:.2f}"
+            lines.append(Line([published], [place], GREY, points=[text], **mark))
+            score, text = float(found["shown"]), f"{row.title}: {found['shown']:.2f}"
             several = (row.key, kind) in known.index
             if several:
-                one = known.loc[row.key, kind]
-                value = one["value"]
-                text = f"{row.title}: {estimate_text(value, one['low'], one['high'])}"
-                ends = [one["low"], one["high"]]
-                lines.append(Line(ends, [place] * 2, colour, key=f"row {row.key}", width=2.4))
-            dot = {"marker": "circle", "size": 6, "joined": False, "filled": several}
-            lines.append(Line([value], [place], colour, key=f"row {row.key}", points=[text], **dot))
+                estimate: Any = known.loc[(row.key, kind)]
+                score, low, high = (float(estimate[one]) for one in ("value", "low", "high"))
+                text = f"{row.title}: {estimate_text(score, low, high)}"
+                lines.append(Line([low, high], [place] * 2, width=2.4, **named))
+            dot |= {"size": 6, "filled": several, "points": [text]}
+            lines.append(Line([score], [place], **dot, **named))
         for one, place in zip(baselines, places[len(rows) :], strict=True):
-            value = table.baseline(one.name).get(kind, math.nan)
-            dot = {"marker": "circle", "size": 5, "joined": False}
-            lines.append(Line([value], [place], GREY, points=[f"{one.title}: {value:.2f}"], **dot))
+            score = table.baseline(one.name).get(kind, math.nan)
+            dot |= {"size": 5, "filled": True, "points": [f"{one.title}: {score:.2f}"]}
+            lines.append(Line([score], [place], GREY, **dot))
         limits = _reach([line.x for line in lines])
         panels.append(Panel(KIND_NAMES[kind], lines, Axis("Score", limits), y))
     assert y.limits is not None
@@ -530,13 +538,19 @@ def averages(table: ScoreTable, looks: Looks) -> Chart | None:
                 if len(seeds) > 1:
                     ranges = True
                     ends = [min(seeds), max(seeds)]
-                    range_ = {"key": key, "width": 5, "opacity": 0.3}
+                    range_: dict[str, Any] = {"key": key, "width": 5, "opacity": 0.3}
                     lines.append(Line(ends, [place] * 2, colour, **range_))
             text = f"{names[number]}: {KIND_NAMES[kind]} {of_kinds[kind]:.2f}"
-            mark = {**KIND_MARKS[kind], "size": 6.5, "joined": False}
-            lines.append(Line([of_kinds[kind]], [place], colour, key=key, points=[text], **mark))
+            drawn: dict[str, Any] = {**KIND_MARKS[kind], "size": 6.5, "joined": False}
+            lines.append(Line([of_kinds[kind]], [place], colour, key=key, points=[text], **drawn))
     for kind, mark in KIND_MARKS.items():  # for the legend
-        named = {"key": kind, "title": KIND_NAMES[kind], "size": 6.5, "joined": False, **mark}
+        named: dict[str, Any] = {
+            "key": kind,
+            "title": KIND_NAMES[kind],
+            "size": 6.5,
+            "joined": False,
+            **mark,
+        }
         lines.append(Line([points[-1][kind]], [places[-1]], GREY, **named))
     assert y.limits is not None
     return Chart(
@@ -743,9 +757,18 @@ def _baseline_lines(found: Mapping[str, tuple[Numbers, Numbers]]) -> list[Line]:
                 lines[place] = replace(other, title=title, points=[title] * len(other.y))
                 break
         else:
-            looks = {"dash": BASELINE_DASHES[one.name], "width": 1.2, "behind": True}
+            looks: dict[str, Any] = {
+                "dash": BASELINE_DASHES[one.name],
+                "width": 1.2,
+                "behind": True,
+            }
             texts = [f"{one.title}: {value:.3f}" for value in y]
-            named = {"key": one.name, "title": one.title, "labelled": True, "points": texts}
+            named: dict[str, Any] = {
+                "key": one.name,
+                "title": one.title,
+                "labelled": True,
+                "points": texts,
+            }
             lines.append(Line(x, y, GREY, **looks, **named))
     return lines
 

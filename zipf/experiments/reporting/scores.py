@@ -217,10 +217,11 @@ def other_statistic(scores: pd.DataFrame, mean: str) -> pd.DataFrame:
     """Lines of `score_frame` with another mean over the levels, "plain" or "capped", in the place
     of the weighted one, and no published scores."""
     names = ["score", "error", *BASELINE_NAMES]
-    score, error = scores[f"{mean}_score"], scores[f"{mean}_error"]
     return scores.assign(
         **{name: scores[f"{mean}_{name}"] for name in names},
-        **{"shown": score, "shown_error": error, "marked": False},
+        shown=scores[f"{mean}_score"],
+        shown_error=scores[f"{mean}_error"],
+        marked=False,
         paper_value=np.nan,
         paper_error=np.nan,
     )
