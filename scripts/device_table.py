@@ -20,7 +20,7 @@ def configs() -> Iterator[tuple[str, str, Config]]:
     """A run of the gridworld with every choice of every group."""
     config = loading.load(["experiment=demo", "memory.size=16", "collector.envs=device"])
     for group, registry in registries().items():
-        for choice in registry.options:
+        for choice in [] if registry.several else registry.options:
             written = config_files.find(group, choice)
             values = dict(written.values) if written is not None and written.values else {}
             options = composing.options_class(group, choice).model_validate(

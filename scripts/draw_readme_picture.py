@@ -1,4 +1,4 @@
-"""Draws docs/gridworld.png, the picture at the head of the README.
+"""Draws docs/gridworld.png, the picture at the head of the documentation.
 
     python scripts/draw_readme_picture.py
 
@@ -27,13 +27,13 @@ OUTPUT = Path(__file__).parent.parent / "docs" / "gridworld.png"
 SPLIT = split("gridworld")
 SITUATION = {"map": 0, "target": 0}
 VIEW = 7  # cells, each way
-MARGIN = 27  # pixels around the board in the environment's frames
-HEADER = 81  # pixels above it, where the cue is shown
+MARGIN = 54  # pixels around the board in the environment's frames
 
-INK, QUIET, AMBER = "#1f2430", "#5a6070", "#e69f00"
+INK, QUIET, AMBER = "#737a87", "#7d8492", "#e69f00"  # greys that can be read on white and on black
+DARK = "#1f2430"
 # Light to dark in one direction, so that it reads alike with any colour vision and in grey.
 COLOURS = plt.get_cmap("YlGnBu")
-NEVER = "#f1f1f1"
+NEVER = "#80808020"
 
 
 def main() -> None:
@@ -50,11 +50,11 @@ def main() -> None:
             "ytick.color": QUIET,
         }
     )
-    figure = plt.figure(figsize=(8.4, 6.44), dpi=200, facecolor="white")
+    figure = plt.figure(figsize=(8.4, 6.44), dpi=200)
     draw_distributions(figure)
     draw_env(figure)
     OUTPUT.parent.mkdir(exist_ok=True)
-    figure.savefig(OUTPUT, facecolor="white", pil_kwargs={"optimize": True})
+    figure.savefig(OUTPUT, transparent=True, pil_kwargs={"optimize": True})
     print(f"Wrote {OUTPUT.name}: {OUTPUT.stat().st_size / 1024:.0f} KB")
 
 
@@ -81,8 +81,8 @@ def draw_distributions(figure: plt.Figure) -> None:
     for i, (kind, table) in enumerate(tables.items()):
         axes = figure.add_axes((0.065 + 0.292 * i, 0.61, 0.255, 0.3326))
         shown = np.ma.masked_equal(table, 0)
+        axes.add_patch(Rectangle((-0.5, -0.5), *table.shape, fc=NEVER, ec="none", zorder=-1))
         image = axes.imshow(shown, cmap=COLOURS, norm=norm)
-        axes.set_facecolor(NEVER)
         axes.set_title(titles[kind], fontsize=11, fontweight="bold", pad=7)
         axes.set_xlabel("target, by frequency rank")
         axes.text(0.5, -0.235, captions[kind], transform=axes.transAxes, ha="center", va="top")
@@ -90,7 +90,7 @@ def draw_distributions(figure: plt.Figure) -> None:
         axes.set_yticks([0, 5, 10, 15, 19])
         axes.set_xticks(np.arange(0.5, table.shape[1] - 1), minor=True)
         axes.set_yticks(np.arange(0.5, table.shape[0] - 1), minor=True)
-        axes.grid(which="minor", color="white", lw=0.25)
+        axes.grid(which="minor", color="#a0a0a060", lw=0.25)
         axes.tick_params(length=2, labelsize=8)
         axes.tick_params(which="minor", length=0)
         if i == 0:
@@ -117,7 +117,8 @@ def note(axes: Axes, text: str, cell: tuple[float, float], at: tuple[float, floa
         xytext=at,
         va="center",
         fontsize=8.5,
-        arrowprops={"arrowstyle": "-", "color": INK, "lw": 0.8},
+        color=DARK,
+        arrowprops={"arrowstyle": "-", "color": DARK, "lw": 0.8},
         bbox={"boxstyle": "round,pad=0.25", "fc": "white", "ec": "none", "alpha": 0.85},
     )
 
@@ -130,7 +131,7 @@ def draw_env(figure: plt.Figure) -> None:
     goal_row, goal_column = maps.cells[SITUATION["map"], SITUATION["target"]].tolist()
     row, column = maps.cells[SITUATION["map"], -1].tolist()
     rows, columns = maps.boards[SITUATION["map"]].shape
-    board = np.asarray(env.render())[HEADER:-MARGIN, MARGIN:-MARGIN]
+    board = np.asarray(env.render())[MARGIN:-MARGIN, MARGIN:-MARGIN]
 
     board_axes = panel(figure, (0.065, 0.03, 0.3066, 0.40), board, (columns, rows))
     board_axes.set_title("The most frequent map", fontsize=11, fontweight="bold", pad=9)
@@ -156,7 +157,7 @@ def draw_env(figure: plt.Figure) -> None:
         color="white",
         fontsize=8,
         arrowprops={"arrowstyle": "-", "color": AMBER, "lw": 1.2},
-        bbox={"boxstyle": "round,pad=0.2", "fc": INK, "ec": AMBER, "lw": 0.8},
+        bbox={"boxstyle": "round,pad=0.2", "fc": DARK, "ec": AMBER, "lw": 0.8},
     )
     seen.add_patch(Rectangle((0, 0), 1, 1, fill=False, ec=AMBER, lw=2.5, clip_on=False))
     # Over the top of the image, so that no line runs through an object.

@@ -4,6 +4,7 @@ import importlib
 import inspect
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from gymnasium import spaces
@@ -13,6 +14,8 @@ from zipf import envs
 from zipf.envs import floors
 from zipf.envs.labyrinth import FAMILY as _labyrinth
 from zipf.envs.labyrinth.levels import LEVELS
+from zipf.envs.playroom.levels import LEVELS as PLAYROOM
+from zipf.envs.playroom.levels import LIFT, NEAR
 from zipf.protocol import says_little
 
 LITTLE = "‡"
@@ -119,16 +122,84 @@ def _says_little(known: dict[str, envs.BaselineScore | None], random: float = 0.
     return says_little(blind and blind.score - random, expert and expert.score - random)
 
 
+@dataclass(frozen=True)
+class Group:
+    """Levels that look alike and differ in what is drawn how often: full names.
+
+    Attributes:
+        tasks: of levels that draw one of other levels, those, with pictures of their own.
+    """
+
+    levels: tuple[str, ...]
+    task: str
+    tasks: tuple[str, ...] = ()
+
+    @property
+    def file(self) -> str:
+        """The name of their picture in docs/gallery."""
+        return self.levels[0].replace("/", "_") + ".jpg"
+
+
+def groups(family: str) -> list[Group]:
+    """The levels of a family, grouped by what they look like, with their tasks in a line."""
+    tasks = {"gridworld": _gridworld_task, "playroom": _playroom_task, "labyrinth": _goal}
+    found = envs.find_family(family)
+    alike: dict[tuple[str, str], list[str]] = {}
+    for level in found.levels:
+        task = tasks[family](level) if family in tasks else found.summary
+        look = level if family == "labyrinth" and level in LEVELS else ""
+        alike.setdefault((task, look), []).append(f"{family}/{level}")
+    drawn = tuple(f"labyrinth/{level}" for level in LEVELS)
+    return [
+        Group(tuple(levels), task, drawn if task == _goal("uniform") else ())
+        for (task, _), levels in alike.items()
+    ]
+
+
+def _gridworld_task(level: str) -> str:
+    where = "20 other maps, which nobody trains on" if level == "fresh" else "20 maps"
+    return f"Walk to the object that the corner shows, in one of {where}."
+
+
+def _playroom_task(level: str) -> str:
+    found = PLAYROOM[level]
+    toys = f"the named one of {found.others + 1} toys"
+    if found.finding:
+        return f"Go to {toys}."
+    if found.tasks == (LIFT,):
+        return f"Lift {toys}{', in a room with bed and tray' if found.furnished else ''}."
+    return f"Put {toys} {'near' if NEAR in found.tasks else 'on'} the bed or the tray, as told."
+
+
+def _goal(level: str) -> str:
+    """The goal of a level of the labyrinth, from the docstring of its rules."""
+    if level not in LEVELS:
+        return f"One of the {len(LEVELS)} tasks above, drawn at every reset."
+    goal = re.search(r"Goal: (.*?)\n\n", inspect.getdoc(LEVELS[level].load()) or "", re.DOTALL)
+    assert goal is not None, level
+    words = " ".join(goal[1].split())
+    return words[0].upper() + words[1:]
+
+
+def gallery(family: str) -> list[str]:
+    """Three pictures a row, each with the levels that look so and their task."""
+    cells = []
+    for group in groups(family):
+        names = "<br>".join(code(level) for level in group.levels)
+        picture = f"![{group.task}](gallery/{group.file})"
+        cells.append(f"{picture}<br>{names}<br>{group.task}")
+    cells += [""] * (-len(cells) % 3)
+    return markdown(("", "", ""), (tuple(cells[k : k + 3]) for k in range(0, len(cells), 3)))
+
+
 def labyrinth() -> list[str]:
     """The labyrinth's levels: length and, from the docstrings of their rules, goal and rewards."""
     rows = []
     for name, level in LEVELS.items():
         text = inspect.getdoc(level.load()) or ""
-        goal = re.search(r"Goal: (.*?)\n\n", text, re.DOTALL)
         rewards = re.search(r"\nRewards: (.*?)(?:\n\w[\w ,]*:|$)", text, re.DOTALL)
-        assert goal is not None, name
         told = " ".join(rewards[1].split()) if rewards else "+1 for a mushroom."
-        rows.append((code(name), " ".join(goal[1].split()), told, f"{level.seconds} s"))
+        rows.append((code(name), _goal(name), told, f"{level.seconds} s"))
     return markdown(("Level", "Goal", "Rewards", "Length"), rows)
 
 

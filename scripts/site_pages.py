@@ -8,6 +8,7 @@ into the site's. A site that would fetch anything from the network is an error.
 import os
 import posixpath
 import re
+import tomllib
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,14 @@ TOP = {
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\((?!\w+:)([^)#\s]*)(#[^)\s]*)?\)")
 REMOTE = re.compile(r"\s*(?:https?:)?//", re.IGNORECASE)
 STYLES = re.compile(r"(?:url\(\s*[\"']?|@import\s+[\"'])((?:https?:)?//[^\"')\s]+)", re.IGNORECASE)
+
+
+def on_config(config: Any) -> Any:
+    """Links to the repository, whose address pyproject.toml has."""
+    with open(ROOT / "pyproject.toml", "rb") as file:
+        config.repo_url = tomllib.load(file)["project"]["urls"]["Repository"]
+    config.repo_name = config.site_name
+    return config
 
 
 def on_files(files: Any, config: Any) -> Any:

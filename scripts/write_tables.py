@@ -140,6 +140,7 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "family": family_tables.family,
     "levels": family_tables.levels,
     "constructor_options": family_tables.constructor_options,
+    "gallery": family_tables.gallery,
     "labyrinth": family_tables.labyrinth,
     "labyrinth_baselines": family_tables.labyrinth_baselines,
     "groups": agent_tables.groups,

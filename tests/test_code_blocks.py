@@ -10,6 +10,7 @@ import runpy
 import sys
 import tomllib
 from importlib.metadata import entry_points
+from pathlib import Path
 
 import pytest
 import yaml
@@ -119,7 +120,7 @@ def yaml_file(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     if block.title.endswith("/sweep.yaml"):
         for parts in yaml.safe_load(block.text).values():
             for part in parts:
-                sweeps.Block.model_validate(part)
+                sweeps.read_block(Path(block.title), part)
     else:
         assert isinstance(yaml.safe_load(block.text), dict)
         used = [words for page, words in commands("zipf.train").values() if page == block.page]

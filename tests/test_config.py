@@ -366,7 +366,7 @@ def test_automatic_precision_is_what_the_device_computes_fast(has, monkeypatch):
         assert chosen.precision == precision
         assert chosen.folder == loaded.folder  # so that the run goes on on another machine
     fixed = ["experiment=demo", "precision=bfloat16"]
-    assert loading.load(fixed).condition == "impala_mlp,precision=bfloat16"
+    assert loading.load(fixed).condition == "impala_mlp-precision_bfloat16"
 
 
 @pytest.mark.parametrize(
@@ -519,9 +519,9 @@ CONDITIONS = [
     (["experiment=gridworld", "memory=mlp"], "impala_mlp"),
     (["experiment=demo"], "impala_mlp"),
     (["experiment=demo", "memory=lstm"], "impala"),
-    (["experiment=gridworld", "network=compact"], "impala,network=compact"),
-    (["experiment=gridworld_compact", "exploration=none"], "impala_mlp,exploration=none"),
-    (["experiment=gridworld", "agent.discount=0.9"], "impala,agent.discount=0.9"),
+    (["experiment=gridworld", "network=compact"], "impala-network_compact"),
+    (["experiment=gridworld_compact", "exploration=none"], "impala_mlp-exploration_none"),
+    (["experiment=gridworld", "agent.discount=0.9"], "impala-discount_0.9"),
     (["experiment=gridworld", "agent.discount=0.99"], "impala"),
     (["experiment=gridworld", "seed=3", "updates=7", "evaluation.every=2", "device=cpu"], "impala"),
     (["experiment=gridworld", "name=mine", "agent.discount=0.9"], "mine"),
@@ -531,29 +531,29 @@ CONDITIONS = [
     (["experiment=gridworld", "critic=hl_gauss"], "impala_hl_gauss"),
     (
         ["experiment=gridworld", "critic=quantile", "critic.kappa=1"],
-        "impala_quantile,critic.kappa=1",
+        "impala_quantile-kappa_1",
     ),
     (["experiment=gridworld", "agent=r2d2", "critic=quantile"], "r2d2_quantile"),
-    (["experiment=gridworld", "condition=r2d2", "critic=quantile"], "r2d2,critic=quantile"),
+    (["experiment=gridworld", "condition=r2d2", "critic=quantile"], "r2d2-critic_quantile"),
     (["experiment=gridworld_compact", "condition=impala_rnd"], "impala_rnd"),
     (["experiment=gridworld", "episodic=dictionary"], "impala_dictionary"),
     (["experiment=demo", "episodic=mem"], "impala_mlp_mem"),
-    (["experiment=gridworld", "condition=impala_mem", "episodic=none"], "impala_mem,episodic=none"),
-    (["experiment=gridworld", "agent=vmpo"], "vmpo,memory.layers=1"),
+    (["experiment=gridworld", "condition=impala_mem", "episodic=none"], "impala_mem-episodic_none"),
+    (["experiment=gridworld", "agent=vmpo"], "vmpo-layers_1"),
     (["experiment=gridworld", "agent=vmpo", "memory.layers=2"], "vmpo"),
-    (["experiment=gridworld", "condition=r2d2", "agent.epsilon=0.2"], "r2d2,agent.epsilon=0.2"),
-    (["experiment=gridworld", "condition=r2d2", "memory=mlp"], "r2d2,memory=mlp"),
+    (["experiment=gridworld", "condition=r2d2", "agent.epsilon=0.2"], "r2d2-epsilon_0.2"),
+    (["experiment=gridworld", "condition=r2d2", "memory=mlp"], "r2d2-memory_mlp"),
     (
         ["experiment=gridworld", "agent=r2d2", "agent.priority_exponent=0.0"],
-        "r2d2,agent.priority_exponent=0.0",
+        "r2d2-priority_exponent_0.0",
     ),
     (["experiment=demo", "condition=impala_mlp"], "impala_mlp"),
     (["experiment=playroom_lift_compact"], "impala"),
-    (["experiment=gridworld", "precision=auto"], "impala,precision=auto"),
-    (["experiment=demo", "condition=impala", "network=resnet"], "impala,network=resnet"),
+    (["experiment=gridworld", "precision=auto"], "impala-precision_auto"),
+    (["experiment=demo", "condition=impala", "network=resnet"], "impala-network_resnet"),
     (
         ["experiment=demo", "condition=impala_mlp", "agent.discount=0.9"],
-        "impala_mlp,agent.discount=0.9",
+        "impala_mlp-discount_0.9",
     ),
 ]
 

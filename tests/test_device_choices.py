@@ -22,7 +22,12 @@ FURTHER = {
     "gtrxl": ["memory.heads=2", "memory.layers=1", "memory.memory_length=4"],
     "imitation": ["exploration=none"],
 }  # fmt: skip
-CHOICES = [(group, one) for group, registry in registries().items() for one in registry.options]
+CHOICES = [
+    (group, one)
+    for group, registry in registries().items()
+    if not registry.several
+    for one in registry.options
+]
 
 
 def config_of(experiment, group, choice, *others):

@@ -55,6 +55,9 @@ def test_the_named_line_has_the_option_and_its_value(experiment, condition):
         assert not one.rule or one.rule.startswith("default of "), one
         line = one.place.file.read_text(encoding="utf-8").splitlines()[one.place.line - 1]
         group, _, name = one.option.rpartition(".")
+        if group.startswith("loggers.") and name == "name":
+            assert one.value in value_in(line, "loggers")
+            continue
         there = value_in(line, group if name == "name" else name)
         assert there == one.value, (one, line)
         if isinstance(one.value, (int, float)) and not isinstance(one.value, bool):
@@ -72,7 +75,7 @@ def test_what_a_rule_makes_of_a_line():
     assert found["agent.discount"].where == "command line: agent.discount=0.5"
     assert found["agent.discount"].comment.startswith("instead of 0.99, configs/agent")
     assert found["collector.lag"].where == "command line: collector.lag=0"
-    assert found["condition"].value == "impala,collector.lag=0,agent.discount=0.5"
+    assert found["condition"].value == "impala-lag_0-discount_0.5"
     assert found["condition"].rule.startswith("name: null")
     assert found["row.title"].rule == "and what differs"
     assert found["row.line"].rule == ""
@@ -193,3 +196,13 @@ def test_the_command_explains_a_folder(recorded, monkeypatch, capsys):
     code, printed, error = command(monkeypatch, capsys, "--explain", str(recorded), "critic")
     assert (code, error) == (0, "")
     assert printed.split()[:2] == ["critic.name", "scalar"]
+
+
+def test_loggers_are_explained_by_who_chose_them():
+    words = ["experiment=demo", "loggers=[tensorboard,wandb]", "loggers.wandb.mode=offline"]
+    found = {one.option: one for one in explaining.explain(words)}
+    assert found["loggers.wandb.name"].rule == "command line: loggers=[tensorboard,wandb]"
+    assert found["loggers.wandb.project"].where.startswith("configs/loggers.yaml:")
+    assert found["loggers.wandb.mode"].comment.startswith("instead of online, configs/loggers.yaml")
+    usual = {one.option: one for one in explaining.explain(["experiment=demo"])}
+    assert usual["loggers.tensorboard.name"].where.startswith("configs/train.yaml:")

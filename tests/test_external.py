@@ -13,6 +13,7 @@ from zipf import envs, evaluate, play, report
 from zipf.errors import UserError
 from zipf.experiments.building import loading, run_folder
 from zipf.experiments.evaluation import external
+from zipf.experiments.evaluation.trained import load_agent
 from zipf.experiments.records import results
 from zipf.experiments.training import runner
 
@@ -278,7 +279,7 @@ def test_there_is_no_agent_in_a_record(tmp_path, monkeypatch, capsys, ours):
     assert told in refused(monkeypatch, capsys, evaluate.main, run)
     assert told in refused(monkeypatch, capsys, play.main, run, "record=a.gif")
     with pytest.raises(UserError, match="the agent is not there"):
-        evaluate.trained(tmp_path / "seed0")
+        load_agent(tmp_path / "seed0")
     # Nor does somebody else's configuration and checkpoint make it one.
     for name in ("config.yaml", "checkpoint.pt"):
         shutil.copy(ours / name, tmp_path / "seed0")
@@ -300,10 +301,10 @@ def test_a_checkpoint_of_other_options_is_no_agent_of_this_run(tmp_path, monkeyp
 
 def test_a_runs_agent_is_scored(ours):
     drawn = torch.get_rng_state()
-    policy = evaluate.trained(str(ours))
+    policy = load_agent(str(ours))
     assert torch.equal(torch.get_rng_state(), drawn)
     config = run_folder.read_config(ours)
-    from zipf.experiments.evaluation.trained import evaluate_agent, load_agent
+    from zipf.experiments.evaluation.trained import evaluate_agent
 
     agent = load_agent(ours, "cpu").agent
     expected = evaluate_agent(config, agent, seed=3, **PLAY)
@@ -316,7 +317,7 @@ def test_a_runs_agent_is_scored(ours):
     with pytest.raises(ValueError, match=r"seed0: its agent was trained in .*image.*tiles"):
         evaluate.score(policy, observation="tiles", **DEMO)
     with pytest.raises(UserError, match="is no run's folder"):
-        evaluate.trained(ours.parent)
+        load_agent(ours.parent)
 
 
 def test_episodes_are_as_many_as_the_split_says(ours, monkeypatch, capsys):

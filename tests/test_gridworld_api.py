@@ -216,7 +216,7 @@ def test_frames_show_the_whole_map() -> None:
     env.reset(seed=0, options={"map": 0, "target": 2})
     first: Any = env.render()
     assert first.dtype == np.uint8
-    assert first.shape == ((13 + 4) * 27, (13 + 2) * 27, 3)
+    assert first.shape == ((13 + 4) * 27, (13 + 4) * 27, 3)
     env.step(4)
     assert (env.render() != first).any()
 
@@ -239,11 +239,11 @@ def test_frames_mark_target_agent_and_view() -> None:
     drawn = frame(maps, 0, 0, row, column)
 
     def cell(r: int, c: int) -> np.ndarray:
-        return drawn[(r + 3) * 27 : (r + 4) * 27, (c + 1) * 27 : (c + 2) * 27]
+        return drawn[(r + 2) * 27 : (r + 3) * 27, (c + 2) * 27 : (c + 3) * 27]
 
     assert (cell(row, column) == 255).all()
     goal_row, goal_column = maps.cells[0, 0].tolist()
-    assert (drawn[(goal_row + 3) * 27 - 1, (goal_column + 1) * 27] == (255, 190, 60)).all()
+    assert (drawn[(goal_row + 2) * 27 - 1, (goal_column + 2) * 27] == (255, 190, 60)).all()
     assert cell(6, 7).max() == 255  # pink, seen
     assert cell(1, 11).max() == 255 // 8 * 5  # pink, not seen
 

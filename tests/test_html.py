@@ -405,11 +405,12 @@ def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def test_a_page_is_not_older_than_the_tables_beside_it(tmp_path: Path) -> None:
     write_run(tmp_path / "runs", constant(0.5))
-    report.report([tmp_path / "runs"], html="")
-    beside = tmp_path / "runs/report/report.html"
+    output = tmp_path / "runs/report"
+    report.report([tmp_path / "runs"], output, html="")
+    beside = output / "report.html"
     assert "mine" not in beside.read_text()
     write_run(tmp_path / "runs", constant(0.75), condition="mine")
-    assert beside in report.report([tmp_path / "runs"]).files
+    assert beside in report.report([tmp_path / "runs"], output).files
     assert "mine" in beside.read_text()
     report.report([tmp_path / "runs"], tmp_path / "elsewhere")
     assert not (tmp_path / "elsewhere/report.html").exists()

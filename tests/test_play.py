@@ -27,9 +27,11 @@ from zipf.envs.gridworld.maps import MOVES
 from zipf.envs.gridworld.vector import GridworldVectorEnv
 from zipf.envs.keyboard import LEAVE, NEXT, Binding, Keys, Toggle
 from zipf.envs.labyrinth import words
+from zipf.envs.pictures import fit
 from zipf.errors import UserError
 from zipf.experiments.options import command_line
 from zipf.experiments.playing import playing, screens, sessions
+from zipf.experiments.playing.captions import BACKGROUND, captioned
 from zipf.experiments.playing.playing import PlayOptions
 from zipf.experiments.playing.recording import Recording
 
@@ -250,25 +252,28 @@ def test_every_family_can_be_recorded(level, policy, tmp_path):
     path = tmp_path / "out.gif"
     said = play(f"level={level}", f"policy={policy}", "seed=1", f"record={path}", "view=agent")
     assert said[0] == f"{level}, seed 1"
-    assert said[1].startswith("episode 1: ")
-    steps = int(re.search(r"(\d+) steps?$", said[1])[1])
+    assert said[-2].startswith("episode 1: ")
+    steps = int(re.search(r"(\d+) steps?$", said[-2])[1])
     env = envs.make_vec(level, 1)
     fps = env.metadata["render_fps"]
     height, width, _ = env.single_observation_space["image"].shape
-    scale = -(-288 // height)
+    scale = 480 // height
     frames = 1 + steps + math.ceil(fps)
-    assert said[2:] == [f"written: {path} ({frames} frames, {width * scale} x {height * scale})"]
-    # Where nothing changes a GIF shows a frame for longer.
     read, lasts = read_gif(path)
+    high, wide, _ = read[0].shape
+    assert said[-1].startswith(f"written: {path} ({frames} frames, {wide} x {high}, ")
+    # Where nothing changes a GIF shows a frame for longer, and of fast families each second one.
     assert sum(lasts) == pytest.approx(1000 * frames / fps, abs=10)
-    assert read[0].shape == (height * scale, width * scale, 3)
+    assert min(lasts) >= 100
+    assert wide == width * scale
+    assert height * scale < high < 1.25 * height * scale  # with the strip of text
 
 
 def test_a_recording_shows_the_worlds_frames(tmp_path):
     path = tmp_path / "out.gif"
     said = play(
         *("level=gridworld/rare", "policy=expert", "seed=3", "episodes=2", "fps=10"),
-        *(f"record={path}", "scale=1"),
+        *(f"record={path}", "size=459x459"),
     )
     env = envs.make_vec("gridworld/rare", 1, autoreset_mode="Disabled", render_mode="rgb_array")
     expert = envs.expert("gridworld/rare", env)
@@ -285,12 +290,63 @@ def test_a_recording_shows_the_worlds_frames(tmp_path):
             lasts.append(100)
         lasts[-1] += 1000
     read, read_lasts = read_gif(path)
-    np.testing.assert_array_equal(read, frames)
+    np.testing.assert_array_equal([frame[:459] for frame in read], frames)
     assert read_lasts == lasts
     assert [line.split(":")[0] for line in said] == [
         *("gridworld/rare, seed 3", "episode 1", "episode 2", "written"),
     ]
     assert all("success, return 1" in line for line in said[1:3])
+
+
+def test_a_fast_gif_shows_each_so_many_th_frame_at_its_time(tmp_path):
+    path = tmp_path / "out.gif"
+    said = play(*["level=gridworld/rare", "policy=expert", "seed=3", "fps=30"], f"record={path}")
+    steps = int(re.search(r"(\d+) steps?$", said[1])[1])
+    read, lasts = read_gif(path)
+    assert len(read) == 1 + -(-steps // 3)  # the last one in any case
+    assert sum(lasts) == pytest.approx(1000 * (1 + steps + 30) / 30, abs=10)
+
+
+@pytest.mark.parametrize("view", ["world", "agent"])
+def test_a_still_is_the_first_frame_at_the_size_asked_for(view, tmp_path):
+    path = tmp_path / "out.png"
+    level = "playroom/lift/lift_shape_uniform"
+    said = play(f"level={level}", "seed=2", f"record={path}", "size=400x300", f"view={view}")
+    drawn = np.asarray(Image.open(path))
+    assert said[1].startswith(f"written: {path} (1 frame, {drawn.shape[1]} x {drawn.shape[0]}, ")
+    if view == "agent":
+        env = envs.make_vec(level, 1)
+        picture = env.reset(seed=2)[0]["image"][0].repeat(4, axis=0).repeat(4, axis=1)
+    else:
+        env = envs.make_vec(level, 1, image_size=[300, 400])
+        picture = env.reset(seed=2)[0]["image"][0]
+        picture[143:158, 193:208] = drawn[143:158, 193:208]  # the cross
+    height, width, _ = picture.shape
+    np.testing.assert_array_equal(drawn[:height], picture)
+    assert drawn.shape[0] > height
+    assert drawn.shape[1] == width
+
+
+def test_what_will_be_large_is_said_while_it_is_recorded(tmp_path, monkeypatch):
+    monkeypatch.setattr(sessions, "_SAMPLE", 20_000)
+    monkeypatch.setattr(sessions, "_TOO_LARGE", 1_000_000)
+    asked = [*["level=gridworld/uniform", "policy=random", "seed=3"], f"record={tmp_path}/x.gif"]
+    said = play(*asked, "episodes=15")
+    (large,) = [i for i, line in enumerate(said) if "will have up to" in line]
+    assert 0 < large < len(said) - 2
+    assert re.match(r"x.gif will have up to \d MB, at \d kB a step .* an .mp4, a smal", said[large])
+    assert not any("will have" in line for line in play(*asked, "episodes=1"))
+
+
+def test_the_text_below_pictures_fits(tmp_path):
+    picture = np.zeros((60, 200, 3), np.uint8)
+    short, long = (captioned(picture, ("Title", words), True) for words in ("done", "word " * 12))
+    assert short.shape == long.shape
+    for drawn in (short, long):
+        strip = drawn[60:]
+        assert (strip[:, -3:] == BACKGROUND).all()
+        assert len(np.unique(strip.reshape(-1, 3), axis=0)) <= 17
+    assert (captioned(picture, ("", "done"), True) != captioned(picture, ("", "done"), False)).any()
 
 
 def test_the_same_seed_plays_the_same(tmp_path):
@@ -360,10 +416,13 @@ def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
         ("policy=random", "level is not set"),
         ("levl=gridworld/rare", "levl: no such option; did you mean level?"),
         ("level=gridworld/rare record=x.gif", "policy is not set"),
-        ("level=gridworld/rare policy=random record=x.avi", "should end in .gif or .mp4"),
-        ("level=labyrinth/uniform policy=random record=x.avi", "should end in .gif or .mp4"),
+        ("level=gridworld/rare policy=random record=x.avi", "should end in .gif, .mp4 or .png"),
+        ("level=labyrinth/uniform policy=random record=x.avi", "should end in .gif, .mp4 or .png"),
         ("level=gridworld/rare policy=random record=no/x.gif", "No such file or directory"),
-        ("level=gridworld/rare policy=random record=x.gif fps=51", "at most 50 frames"),
+        ("level=gridworld/rare policy=random record=x.png", "policy=random: does not go with rec"),
+        ("run=nowhere record=x.png episodes=2", "episodes=2: does not go with record=x.png"),
+        ("level=gridworld/rare size=1280", "size=1280: should be <width>x<height> such as 1280x96"),
+        ("level=gridworld/rare size=1280x9", "each 64 to 4096 pixels"),
         ("level=gridworld/rare policy=random record=x.gif episodes=0", "greater than or equal"),
         ("run=nowhere", "nowhere: is no run's folder"),
         ("level=gridworld/rare", "no screen: .*record=FILE.gif"),
@@ -378,6 +437,14 @@ def test_mistakes_are_told_in_a_line(arguments, message, tmp_path, monkeypatch):
     with pytest.raises(UserError, match=message):
         play(*arguments.split())
     assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_screen_is_said_before_envs_are_made(monkeypatch):
+    monkeypatch.setattr(envs, "make_vec", lambda *_, **__: pytest.fail("made"))
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(UserError, match="no screen"):
+        play("level=gridworld/rare")
 
 
 def test_a_run_without_a_checkpoint(run, tmp_path):
@@ -441,10 +508,10 @@ def test_a_picture_in_half_blocks():
 
 def test_pictures_fit_in_proportion():
     picture = np.arange(10 * 20 * 3, dtype=np.uint8).reshape(10, 20, 3)
-    assert screens.fit(picture, 70, 100).shape == (30, 60, 3)
-    np.testing.assert_array_equal(screens.fit(picture, 70, 100)[::3, ::3], picture)
-    assert screens.fit(picture, 10, 100).shape == (5, 10, 3)
-    assert screens.fit(picture, 100, 1).shape == (1, 2, 3)
+    assert fit(picture, 70, 100).shape == (30, 60, 3)
+    np.testing.assert_array_equal(fit(picture, 70, 100)[::3, ::3], picture)
+    assert fit(picture, 10, 100).shape == (5, 10, 3)
+    assert fit(picture, 100, 1).shape == (1, 2, 3)
 
 
 class Person:
@@ -539,6 +606,7 @@ def test_a_person_plays_in_a_terminal(person, tmp_path):
     def script():
         person.sees("\x1b[?1049h\x1b[?25l")
         person.sees("▀")
+        person.sees("gridworld/zipf_2   policy keyboard")
         person.sees(f"ranks: map {info['map'][0]}, target {info['target'][0]}")
         person.sees("step 0")
         person.sees("↑/k/8: north")
@@ -566,7 +634,7 @@ def test_a_person_plays_in_a_terminal(person, tmp_path):
     # The second on the last frame of the first episode; then three frames and one.
     frames, lasts = read_gif(path)
     assert sum(lasts) == 100 * (len(typed) + 1 + 10 + 3 + 1)
-    assert frames[0].shape == (459, 405, 3)
+    assert frames[0].shape[:2] > (459, 459)
 
 
 def test_toggles_are_shown(person, monkeypatch):
@@ -648,7 +716,7 @@ def test_ctrl_c_leaves_the_terminal_and_keeps_the_recording(tmp_path):
     with person.doing(script):
         assert process.wait(2 * PATIENCE) == 130
     person.sees("left after 1 step")
-    person.sees("written: out.mp4 (2 frames, 405 x 459)")
+    person.sees("written: out.mp4 (2 frames, 459 x ")
     assert len(read_mp4(tmp_path / "out.mp4")[0]) == 2
     os.close(person.master)
     os.close(person.slave)
@@ -689,7 +757,8 @@ def test_a_person_plays_in_a_window(monkeypatch):
         np.testing.assert_array_equal(drawn[: len(frame), left : left + frame.shape[1]], frame)
         assert len(np.unique(drawn[len(frame) :].reshape(-1, 3), axis=0)) > 2  # there is text
         assert lines[0].startswith("Walk to the object that the top left corner shows.")
-        assert f"step {i}   return 0" in lines[2]
+        assert lines[1] == "gridworld/zipf_2   policy keyboard"
+        assert f"step {i}   return 0" in lines[3]
         if action is not None:
             env.step(np.array([action]))
 
@@ -706,9 +775,9 @@ def test_a_level_shows_its_instruction_if_it_has_one(level, ending, monkeypatch,
     shown: list[tuple[str, tuple[str, ...]]] = []
     step = sessions.Shows.step
 
-    def watched(self, env, observation, text):
+    def watched(self, env, observation, text, **kwargs):
         shown.append((env.envs.instruction[0].copy(), text.lines))
-        step(self, env, observation, text)
+        step(self, env, observation, text, **kwargs)
 
     monkeypatch.setattr(sessions.Shows, "step", watched)
     made = envs.make_vec
@@ -717,9 +786,7 @@ def test_a_level_shows_its_instruction_if_it_has_one(level, ending, monkeypatch,
     assert re.match(rf"episode 1: {ending}", said[1])
     for codes, lines in shown:
         text = words.VOCABULARY.decode(codes)
-        assert lines[: bool(text)] == ((text,) if text else ())
-        assert level in lines[bool(text)]
-        assert "ranks" not in lines[bool(text)]
+        assert lines[:2] == (f"{level}   policy random", text)
     assert len(shown) > 10
 
 

@@ -133,7 +133,7 @@ def test_seeds_that_begin_with_seeds_of_a_condition_are_one_row(first, capsys):
     configs = [loading.load([*options, begins, f"seed={seed}"]) for seed in (0, 1)]
     assert [runner.train(config) for config in configs] == [0, 0]
     (row,) = {config.condition for config in configs}
-    assert ",pretrained.run=demo_first" in row
+    assert "-pretrained_demo_first" in row
     shown = call(str(root / "demo" / row), "window=last", module="zipf.report", folder=root).stdout
     told = " ".join(shown.split())
     assert "were not trained with the same settings" not in told

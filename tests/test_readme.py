@@ -21,12 +21,12 @@ from zipf.experiments.options.schema import Config, EvaluateOptions
 from zipf.experiments.playing import videos
 from zipf.experiments.playing.playing import PlayOptions
 from zipf.experiments.reporting.windows import parse_window
-from zipf.experiments.sweeping import sweeps
+from zipf.experiments.sweeping import search, sweeps
 from zipf.experiments.training import runner
 
 FOLDERS = ("configs/", "docs/", "examples/", "scripts/", "tests/", "zipf/")
 NOT_PATHS = {family.id for family in family.families().values()}
-TAKES_LONG = re.compile(r"\.learn\(|floors\.search\(|check_vector_env\(").search
+TAKES_LONG = re.compile(r"\.learn\(|zipf\.train\(|floors\.search\(|check_vector_env\(").search
 """Code that trains, searches or checks."""
 FLAGS = {"-m", "--multirun", "--help"}
 
@@ -108,6 +108,8 @@ def of_page(page: str) -> dict[str, list[str]]:
 def jobs_of(arguments: list[str]) -> list[sweeps.PlannedJob]:
     """The jobs of a train command; none of one that asks for help."""
     overrides = overrides_of(arguments)
+    if (asked := search.asked(overrides)) is not None:
+        return asked.ask()
     ready_made = sweeps.named(overrides)  # test_config.py checks what they choose
     if ready_made and not any(word.startswith("seed=") for word in overrides):
         overrides = [*overrides, "seed=0"]  # composing all seeds takes three times as long
@@ -122,7 +124,7 @@ COMMANDS = {page: len(of_page(page)) for page in PAGES if of_page(page)}
 )
 def test_train_commands_are_accepted(page, in_folder, monkeypatch):
     in_folder(page)
-    monkeypatch.setattr(feasibility, "_no_pretrained", lambda config: ())  # the reader's own runs
+    monkeypatch.setattr(feasibility, "_no_pretrained", lambda *_: ())  # the reader's own runs
     for name, arguments in of_page(page).items():
         with naming(name):
             assert (len(jobs_of(arguments)) > 1) == ("-m" in arguments)
@@ -261,6 +263,7 @@ COMMON = {
     "zipf.compiled",
     "zipf.protocol",
     "zipf.errors",
+    "zipf.lazy",
     "zipf.output",
     "zipf.registry",
 }
@@ -273,13 +276,14 @@ MAY_IMPORT = {
 ROOMS = [
     "records",
     "hooks",
+    "loggers",
     "options",
     "building",
     "reporting",
     "evaluation",
+    "playing",
     "training",
     "cluster",
-    "playing",
     "sweeping",
 ]
 for i, room in enumerate(ROOMS[1:], 1):

@@ -272,7 +272,7 @@ def test_a_table_whose_window_no_run_has_reached_shows_the_last_evaluations(tmp_
         "No run has reached its window, updates 100 to 300: the last evaluation of each."
     )
     assert table.notes == ()
-    made = report.report([tmp_path], claims=True)
+    made = report.report([tmp_path], tmp_path / "report", claims=True)
     assert {path.name for path in made.files} >= {"gridworld_scores.png", "gridworld_ranks.png"}
     assert not any(claim.at_hand for claim in made.claims)
 

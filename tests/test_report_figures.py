@@ -413,9 +413,9 @@ def test_a_figure_without_data_does_not_stay_behind(tmp_path: Path) -> None:
     rows = (SITUATIONS, "300,uniform,0,1,10,5,5.0")
     write_run(tmp_path, constant(0.5), situations=rows)
     figure = tmp_path / "report/gridworld_ranks.png"
-    report.report([tmp_path])
+    report.report([tmp_path], tmp_path / "report")
     assert figure.exists()
-    report.report([tmp_path], window="100:200")
+    report.report([tmp_path], tmp_path / "report", window="100:200")
     assert not figure.exists()
 
 

@@ -80,7 +80,7 @@ def test_every_column_is_documented(trained):
 def test_every_field_of_run_json_is_documented(tmp_path):
     config = loading.load(["experiment=demo", f"run_root={tmp_path}"])
     config.folder.mkdir(parents=True)
-    run_folder.write_description(config, {"map": 5, "target": 5}, None)
+    run_folder.write_description(config, {"map": 5, "target": 5}, [], resumed_at=None)
     written = set(pd.read_json(config.folder / "run.json", typ="series").index)
     assert set(documented("run.json")) == written
 

@@ -39,6 +39,16 @@ def test_every_page_has_its_place():
     assert sorted(PLACES) == sorted([*ours, *API, *site_pages.TOP.values()])
 
 
+def test_the_gallery_shows_every_level():
+    """If this fails: python scripts/write_tables.py, and python scripts/gallery.py"""
+    page = ROOT / "docs" / "gallery.md"
+    text = page.read_text(encoding="utf-8")
+    for name, family in envs.families().items():
+        assert [level for level in family.levels if f"`{name}/{level}`" not in text] == []
+    shown = set(re.findall(r"\]\((gallery/\S+\.jpg)\)", text))
+    assert shown == {f"gallery/{path.name}" for path in (page.parent / "gallery").iterdir()}
+
+
 def test_every_script_is_named_where_a_maintainer_looks():
     pages = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "RESULTS.md", "Makefile")]
     text = "".join(page.read_text() for page in [*pages, *(ROOT / "docs").glob("**/*.md")])

@@ -1,5 +1,6 @@
 """Sweeps: which jobs they have, what becomes of jobs that fail, and the launchers at work."""
 
+import io
 import os
 import re
 import signal
@@ -12,6 +13,7 @@ import pandas as pd
 import pytest
 from conftest import PACKAGE, TINY, command, contents
 from envs_of import chosen, needs
+from rich.console import Console
 
 from zipf import envs, report
 from zipf.errors import UserError
@@ -19,7 +21,7 @@ from zipf.experiments.building import checkpoint, feasibility, loading, run_fold
 from zipf.experiments.options import composing, config_files
 from zipf.experiments.options.catalogue import help_text, summary
 from zipf.experiments.records.paper import paper_table
-from zipf.experiments.sweeping import job, sweep, sweeps
+from zipf.experiments.sweeping import job, launching, progress, sweep, sweeps
 from zipf.experiments.training import runner
 from zipf.experiments.training.signals import SWEEP_PIPE, StopSignals
 
@@ -119,9 +121,9 @@ def test_a_sweep_of_ones_own(own):
     )
     jobs = everything("sweep=mine")
     assert [(j.config.experiment, j.config.condition, j.config.seed) for j in jobs] == [
-        ("demo", "impala,memory=mlp", 3),
+        ("demo", "impala-memory_mlp", 3),
         ("demo", "impala", 3),
-        ("demo", "impala,memory=mlp", 4),
+        ("demo", "impala-memory_mlp", 4),
         ("demo", "impala", 4),
         ("demo", "impala_mlp", 3),
         ("gridworld", "impala", 3),
@@ -169,6 +171,64 @@ def test_a_mistake_in_a_sweeps_file_is_one_clear_line(block, told, own):
     with pytest.raises(UserError, match=re.escape(told)) as error:
         everything("sweep=mine")
     assert len(str(error.value).splitlines()) == 1
+
+
+CHAIN = """- seeds: [3, 4]
+  stages:
+    - {name: one, experiment: demo, condition: imitation}
+    - {name: two, experiment: demo, overrides: [pretrained.run=one, updates=7]}
+    - {name: three, experiment: demo, overrides: [pretrained.run=two, updates=8]}
+  overrides: [updates=9, "schedule.window=[1,2]"]
+"""
+
+
+def test_stages_begin_with_the_run_of_the_same_seed(own):
+    own(CHAIN)
+    jobs = sweeps.check(["sweep=mine", "run_root=here"]).jobs  # though none is there yet
+    assert [(str(one.config.folder), one.config.pretrained.run) for one in jobs] == [
+        ("here/demo/one/seed3", None),
+        ("here/demo/one/seed4", None),
+        ("here/demo/two/seed3", "here/demo/one/seed3"),
+        ("here/demo/two/seed4", "here/demo/one/seed4"),
+        ("here/demo/three/seed3", "here/demo/two/seed3"),
+        ("here/demo/three/seed4", "here/demo/two/seed4"),
+    ]
+    assert [one.config.updates for one in jobs] == [9, 9, 7, 7, 8, 8]
+    assert {one.config.updates for one in everything("sweep=mine", "updates=5")} == {5}
+    with pytest.raises(UserError, match="is no run's folder"):  # what it begins with is left out
+        sweeps.check(["sweep=mine", "run_root=here", "seed=3", "pretrained.run=elsewhere/seed3"])
+
+
+@pytest.mark.parametrize(
+    ("stages", "told"),
+    [
+        ("[{name: a, experiment: demo, overrides: [pretrained.run=b]}]", "b: is no earlier stage"),
+        (
+            "[{name: left, experiment: demo}, {name: b, experiment: demo, overrides: "
+            "[pretrained.run=lefft]}]",
+            "sweep=mine: b: pretrained.run=lefft: is no earlier stage, nor a folder with a /; did "
+            "you mean left?",
+        ),
+        ("[{name: a, experiment: demo}, {name: a, experiment: demo}]", "two stages have the name"),
+        ("[{name: a, experiment: dmo}]", "no such experiment as dmo; did you mean demo"),
+        ("[{name: a, experiment: demo, condition: impla}]", "no such condition as impla; did you"),
+        ("[]", "stages: List should have at least 1 item"),
+        ("[{experiment: demo}]", "stages.0.name: Field required; a block has stages, seeds, over"),
+    ],
+)
+def test_a_mistake_in_stages_is_one_clear_line(stages, told, own):
+    own(f"- {{seeds: [0], stages: {stages}}}")
+    with pytest.raises(UserError, match=re.escape(told)) as error:
+        everything("sweep=mine")
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["best_gridworld", "best_lifting"])
+def test_the_best_agents_are_chains(name):
+    jobs = sweeps.check([f"sweep={name}", "seed=5", "run_root=nowhere"]).jobs
+    begun = [job.config.pretrained.run for job in jobs]
+    assert begun == [None, *(str(job.config.folder) for job in jobs[:-1])]
+    assert len(jobs) == 3
 
 
 @pytest.mark.parametrize(
@@ -268,12 +328,125 @@ def test_jobs_that_fail_stop_no_others(scripted, tmp_path):
 
 def test_how_far_a_job_is_is_told_from_time_to_time(scripted, monkeypatch):
     monkeypatch.setattr(job, "REPORT_EVERY", 0.3)
+    monkeypatch.setattr(progress, "REPORT_EVERY", 0.3)
     code, lines = scripted("9")
     assert code == 0
-    begins, *progress, finished = lines[:-2]
+    begins, *told, finished = lines[:-2]
     assert "begins, in " in begins
-    assert progress == [f"1/1 demo x seed 9: update {n}/6  5 frames/s" for n in (1, 2)]
+    assert told == [f"1/1 demo x seed 9: update {n}/6  5 frames/s" for n in (1, 2)]
     assert "finished, " in finished
+
+
+@pytest.fixture
+def staged(own, tmp_path, monkeypatch, capsys):
+    """A function that runs three stages with some seeds; returns the exit code and the lines."""
+    monkeypatch.setattr(job, "TRAIN", (sys.executable, "-c", SCRIPT))
+    own(CHAIN)
+
+    def run(seeds):
+        code = sweep.run(["sweep=mine", f"run_root={tmp_path}", f"seed={seeds}"])
+        return code, capsys.readouterr().out.splitlines()
+
+    return run
+
+
+def test_stages_run_one_after_another(staged, tmp_path):
+    code, lines = staged("0,7")
+    assert code == 0
+    ended = [re.sub(r":.*", "", line) for line in lines if "finished, " in line]
+    names = [f"demo {name} seed {seed}" for name in ("one", "two", "three") for seed in (0, 7)]
+    assert ended == [f"{number}/6 {name}" for number, name in enumerate(names, start=1)]
+    assert lines[-1] == f"python -m zipf.report {tmp_path}/demo"
+
+
+def test_what_would_begin_with_the_weights_of_a_failed_run_is_named(staged):
+    code, lines = staged("2,0")
+    assert code == 2
+    why = "not begun: begins with the weights of demo {} seed 2, which has not finished"
+    assert lines[-6:-1] == [
+        "6 jobs: 3 finished, 2 not begun, 1 failed",
+        "1/6 demo one seed 2: failed: first; second",
+        f"3/6 demo two seed 2: {why.format('one')}",
+        f"5/6 demo three seed 2: {why.format('two')}",
+        "the same command does what is missing",
+    ]
+
+
+def test_later_stages_wait_for_one_that_its_time_has_stopped(staged):
+    code, lines = staged("12")
+    assert code == 0
+    assert "3 jobs: 3 stopped by schedule.stop_after" in lines
+    assert any(line.startswith("2/3 demo two seed 12: not begun: begins with") for line in lines)
+
+
+def test_a_signal_stops_later_stages(staged):
+    code, lines = staged("5")
+    assert code == 128 + signal.SIGTERM
+    assert "3 jobs: 1 stopped, 2 not begun" in lines
+
+
+@pytest.mark.parametrize(
+    ("words", "window"),
+    [
+        (["updates=4"], ["window=last"]),
+        (["updates=500"], []),
+        (["updates=500", "schedule.window=[3,4],[5,6]"], ["window=own"]),
+    ],
+)
+def test_the_suggested_report_shows_something(words, window):
+    configs = [loading.read(list(one)) for one, _ in sweeps.expand([*TINY, *words])]
+    assert sweep._window(configs) == window
+
+
+def lines_of(text):
+    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text.replace("\r", "\n")).splitlines()
+
+
+def test_a_sweep_says_when_it_will_have_ended(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    console = Console(file=io.StringIO(), width=200, highlight=False)
+    shows = progress.SweepProgress(5, console)
+    jobs = [job.Job(i, 5, f"run {i}", "", 9, ()) for i in range(1, 6)]
+
+    def show(number, state, text, after=0.0):
+        now[0] += after
+        shows.show(jobs[number - 1], job.Outcome(state, text))
+
+    show(1, "skipped", "skipped, is finished")
+    show(2, "begun", "begins")
+    show(3, "begun", "begins")
+    show(2, "running", "update 3/9", after=60)
+    show(2, "running", "update 6/9", after=70)
+    show(2, "running", "update 7/9", after=70)
+    show(2, "finished", "finished, 9 updates, 5 min", after=100)
+    show(3, "failed", "failed: why")
+    told = lines_of(console.file.getvalue())
+    assert told[:-2] == [
+        "1/5 run 1: skipped, is finished",
+        "2/5 run 2: begins",
+        "3/5 run 3: begins",
+        "2/5 run 2: update 6/9",
+    ]
+    # Run 3 has been on its way for as long as run 2 took; then two run side by side.
+    assert told[-2].startswith("2/5 run 2: finished, 9 updates, 5 min; about 5 min left, until ")
+    assert told[-1] == "3/5 run 3: failed: why"
+
+
+def test_a_terminal_has_a_bar(monkeypatch):
+    console = Console(file=io.StringIO(), width=80, force_terminal=True, highlight=False)
+    shows = progress.SweepProgress(2, console)
+    first, second = (job.Job(i, 2, f"run {i}", "", 9, ()) for i in (1, 2))
+    with shows:
+        shows.show(first, job.Outcome("begun", "begins"))
+        shows.show(first, job.Outcome("finished", "finished"))
+        shows.show(second, job.Outcome("begun", "begins"))
+        shows.show(second, job.Outcome("running", "update 3/9 " + "x" * 90))
+        shows._live.refresh()
+    told = lines_of(console.file.getvalue())
+    assert any("1/2 jobs about 0 s left, until " in line for line in told)
+    assert any(line.startswith("run 2: update 3/9") and line.endswith("…") for line in told)
+    assert "2/2 run 2: update" not in "".join(told)
 
 
 def test_a_signal_stops_the_running_job_and_begins_no_other(scripted):
@@ -345,7 +518,7 @@ def test_a_launcher_that_breaks_is_told(scripted, monkeypatch):
             self.task.board.tell(self.task.jobs[1], job.Outcome("begun", "begins"))
             raise RuntimeError("a worker\nwas killed")
 
-    monkeypatch.setattr(sweep, "_launcher", lambda overrides, root, task, wants_gpu: Broken(task))
+    monkeypatch.setattr(launching, "launcher", lambda words, root, task, gpu: (Broken(task), ""))
     code, lines = scripted("0,7,8")
     assert code == 2
     failure = "failed: the launcher failed: RuntimeError: a worker was killed"

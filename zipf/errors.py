@@ -10,6 +10,10 @@ from zipf.envs.errors import EngineError
 class UserError(Exception):
     """What the user should change, a line for each mistake."""
 
+    def _render_traceback_(self) -> list[str]:
+        """What a notebook shows in the place of a traceback."""
+        return [f"error: {line}" for line in str(self).splitlines()]
+
 
 EXPECTED = (UserError, EngineError)
 """What commands print without a traceback."""

@@ -9,17 +9,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zipf.errors import UserError
-from zipf.experiments.evaluation.evaluator import Policy
-from zipf.experiments.evaluation.external import record
-from zipf.experiments.evaluation.policies import trained
-from zipf.experiments.evaluation.scoring import Evaluation, env_options, score
-from zipf.output import run_command
+from zipf.lazy import lazily
+from zipf.output import console, is_quiet, run_command
 
 if TYPE_CHECKING:
-    from zipf.experiments.evaluation.evaluator import Result, Watch
+    from zipf.experiments.evaluation.evaluator import Policy, Result, Watch
+    from zipf.experiments.evaluation.external import record
+    from zipf.experiments.evaluation.scoring import Evaluation, env_options, score
     from zipf.experiments.options.schema import EvaluateOptions
+else:  # imported when first asked for: `--help` is to be quick
+    __getattr__, __dir__ = lazily(
+        __name__,
+        {
+            "Evaluation": "zipf.experiments.evaluation.scoring",
+            "Policy": "zipf.experiments.evaluation.evaluator",
+            "env_options": "zipf.experiments.evaluation.scoring",
+            "record": "zipf.experiments.evaluation.external",
+            "score": "zipf.experiments.evaluation.scoring",
+        },
+    )
 
-__all__ = ["Evaluation", "Policy", "env_options", "main", "record", "score", "trained"]
+__all__ = ["Evaluation", "Policy", "env_options", "main", "record", "score"]
 
 USAGE = """usage: python -m zipf.evaluate run=FOLDER [option=value ...]
        python -m zipf.evaluate policy=NAME split=NAME [option=value ...]
@@ -45,6 +55,7 @@ Options:
     seed=N          of the envs and the agent's actions; default: 0
     device=NAME     with run=: auto, cpu, cuda or cuda:<number>; default: auto, CUDA if there is one
     plugins=NAMES   modules to import, for envs and agents from outside the package; default: none
+    --quiet, -q     print neither progress nor tables
 
 The scores of a run are also written to its folder, as evaluation-<update>-seed<seed>.csv (with
 -episodes<N> after the update where episodes= is given), and the situations to a file beside it."""
@@ -57,14 +68,12 @@ def main() -> None:
 
 
 def _evaluate(arguments: list[str]) -> None:
-    # Here, because `score` needs none of these: they import PyTorch and TensorBoard.
-    from rich.console import Console
-
+    # Here, because `score` needs none of these: they import PyTorch.
     from zipf.experiments.building import run_folder
     from zipf.experiments.evaluation.trained import evaluate_run
     from zipf.experiments.options.command_line import read_options
     from zipf.experiments.options.schema import EvaluateOptions, module_names
-    from zipf.experiments.training.logger import write_results
+    from zipf.experiments.training.tables import write_results
 
     options = read_options(EvaluateOptions, arguments)
     if options.run is None or options.policy or options.split:
@@ -82,7 +91,7 @@ def _evaluate(arguments: list[str]) -> None:
     )
     _show(f"{folder} at update {update}", results, levels)
     for file in write_results(folder / name, results):
-        Console(highlight=False, markup=False).print(f"written: {file}", soft_wrap=True)
+        console().print(f"written: {file}", soft_wrap=True, markup=False)
 
 
 def _evaluate_script(options: EvaluateOptions) -> None:
@@ -113,15 +122,15 @@ def _evaluate_script(options: EvaluateOptions) -> None:
 def _progress() -> Iterator[Watch]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+    shown = console().is_terminal and not is_quiet()
     columns = BarColumn(), MofNCompleteColumn(), TextColumn("episodes")
-    with Progress(*columns, transient=True, disable=not sys.stdout.isatty()) as progress:
+    with Progress(*columns, transient=True, disable=not shown) as progress:
         task = progress.add_task("", total=None)
         yield lambda ended, episodes: progress.update(task, completed=ended, total=episodes)
 
 
 def _show(title: str, results: list[Result], levels: list[dict[str, Any]]) -> None:
     """Prints scores by kind, and by level where there are more, beside those of baselines."""
-    from rich.console import Console
     from rich.table import Column, Table
 
     from zipf import envs
@@ -135,11 +144,9 @@ def _show(title: str, results: list[Result], levels: list[dict[str, Any]]) -> No
         means = [run_folder.mean_of_levels(levels, kind, baseline.name) for kind in by_kind]
         if baseline.name == "chance" or any(mean is not None for mean in means):
             table.add_row(baseline.name, *map(_figure, means))
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=120)
-    console.print(title, soft_wrap=True, markup=False)
-    console.print(table)
+    shown = console()
+    shown.print(title, soft_wrap=True, markup=False)
+    shown.print(table)
     if len(results) > len(by_kind):
         described = {level["level"]: level for level in levels}
         of_any = {name for level in levels for name in level["references"]}
@@ -149,7 +156,7 @@ def _show(title: str, results: list[Result], levels: list[dict[str, Any]]) -> No
             known = described[result.level]["references"]
             scores_of = (known[name]["score"] if name in known else None for name in names)
             each.add_row(result.level, f"{result.score:.3f}", *map(_figure, scores_of))
-        console.print(each)
+        shown.print(each)
 
 
 def _figure(score: float | None) -> str:

@@ -5,18 +5,57 @@ from __future__ import annotations
 import errno
 import io
 import sys
-from collections.abc import Callable, Sequence
-from typing import Any, TextIO
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any, TextIO
 
 import zipf
 from zipf.errors import EXPECTED, tell
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+QUIET = {"-q", "--quiet"}
+"""The flags of every command with which it prints warnings and errors alone."""
+
+_quiet: ContextVar[bool] = ContextVar("quiet", default=False)
+
+
+@contextmanager
+def quietly(quiet: bool = True) -> Iterator[None]:
+    """Here, in this thread, `is_quiet` says what is given."""
+    before = _quiet.set(quiet)
+    try:
+        yield
+    finally:
+        _quiet.reset(before)
+
+
+def is_quiet() -> bool:
+    """Whether neither progress nor tables are to be printed."""
+    return _quiet.get()
+
+
+def console() -> Console:
+    """What prints text and tables to standard output, unless `is_quiet`: 120 columns where that is
+    no terminal. In a notebook, too, it is plain text."""
+    from rich.console import Console
+
+    made = Console(highlight=False, quiet=is_quiet())
+    if made.is_jupyter:
+        made = Console(highlight=False, quiet=is_quiet(), force_jupyter=False, force_terminal=False)
+    if not made.is_terminal:
+        made.width = 120
+    return made
 
 
 def run_command(
     usage: str, work: Callable[[list[str]], None], arguments: Sequence[str] | None = None
 ) -> int:
     """Prints usage or version where the arguments, those of the process if None, ask for them, else
-    does the work; errors that users can mend are lines on standard error. Returns the exit code."""
+    does the work, quietly with one of the flags `QUIET`; errors that users can mend are lines on
+    standard error. Returns the exit code."""
     keep_going()
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or {"-h", "--help"} & set(words):
@@ -26,7 +65,8 @@ def run_command(
         print(f"zipf {zipf.__version__}")
         return 0
     try:
-        work(words)
+        with quietly(bool(QUIET & set(words))):
+            work([word for word in words if word not in QUIET])
     except EXPECTED as error:
         tell(error)
         return 2

@@ -28,10 +28,12 @@ _registries: dict[str, Registry[Any]] = {}
 
 
 class Registry(Generic[Part]):
-    """The choices of one group, such as `memory`; there is one registry of a name."""
+    """The choices of one group, such as `memory`; there is one registry of a name. With `several` a
+    run has any number of them, its options by name, and else one."""
 
-    def __init__(self, group: str):
+    def __init__(self, group: str, *, several: bool = False):
         self.group = group
+        self.several = several
         self._options: dict[str, type[Options]] = {}
         self._builds: dict[str, Callable[..., Part]] = {}
         _registries[group] = self
@@ -59,8 +61,10 @@ class Registry(Generic[Part]):
         return MappingProxyType(self._builds)
 
     def union(self) -> Any:
-        """The type of the options of any choice that is registered now, for a pydantic model."""
-        return Annotated[reduce(or_, self._options.values()), Field(discriminator="name")]
+        """The type of the options of what is chosen from those registered now, for a pydantic
+        model."""
+        one: Any = Annotated[reduce(or_, self._options.values()), Field(discriminator="name")]
+        return dict[str, one] if self.several else one
 
 
 def registries() -> Mapping[str, Registry[Any]]:

@@ -1,4 +1,5 @@
-"""`python -m zipf.report FOLDER...`: the paper's tables and plots of the runs in these folders.
+"""The paper's tables and plots of runs: `python -m zipf.report FOLDER...`, and in Python
+`zipf.report("runs/")`.
 
 Reads result files only, no checkpoints, but for `videos=`.
 """
@@ -10,6 +11,7 @@ import shlex
 import sys
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,11 +19,16 @@ from pydantic import Field
 
 from zipf.errors import UserError
 from zipf.experiments.records.wording import PlotFormat, VideoFormat
+from zipf.lazy import callable_as
 from zipf.options import Options
-from zipf.output import run_command
+from zipf.output import console, is_quiet, run_command
 
 if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
     from zipf.experiments.reporting.claims import ClaimLine
+    from zipf.experiments.reporting.panels import Looks
     from zipf.experiments.reporting.seed_statistics import SeedStatistics
     from zipf.experiments.reporting.tables import ScoreTable
     from zipf.experiments.reporting.windows import Asked
@@ -40,7 +47,6 @@ Examples:
     python -m zipf.report runs/demo html=true
     python -m zipf.report runs/demo window=last
     python -m zipf.report runs/gridworld window=2M:3M output=tables format=pdf
-    python -m zipf.report runs/gridworld 'conditions=impala*' highlight=impala_byol
 
 Options:
 
@@ -48,16 +54,16 @@ Options:
                     a name and = are folders
     output=DIR      folder for report.md, report.tex, CSV files and the plots; default: the folder
                     report in the first FOLDER
-    conditions=NAMES  the conditions to show, in this order: names or titles, with * for anything,
-                    such as impala,r2d2*; default: all
-    highlight=NAMES   the conditions drawn in colour over grey ones; default: all of up to six, else
-                    the six best by validation score, or by training score where there is none
-    claims=true     also check what the paper claims; default: false
     window=WINDOW   which evaluations scores are taken from: START:END in updates (2000000:3000000
                     or 2M:3M), last, last:N for the last N of each run, scaled: the window of the
                     experiment at the same fractions of a shorter run, or own: that of each run, in
                     one table also where they differ; default: the window of the experiment, and a
                     table for each
+    conditions=NAMES  the conditions to show, in this order: names or titles, with * for anything,
+                    such as impala,r2d2*; default: all
+    highlight=NAMES   the conditions drawn in colour over grey ones; default: all of up to six, else
+                    the six best by validation score, or by training score where there is none
+    claims=true     also check what the paper claims; default: false
     record=FILE     also write all tables, a description of each run, and the Markdown files of the
                     folders to this Markdown file; default: no such file
     format=FORMAT   of the plots: png, pdf or svg; default: png
@@ -69,7 +75,8 @@ Options:
                     folder, as gif or mp4; the page of html=, which it implies, shows the videos
                     that there are; default: no videos
     plugins=NAMES   with videos=: modules to import, for environments and agents from outside the
-                    package; default: none"""
+                    package; default: none
+    --quiet, -q     print nothing but warnings and errors"""
 
 
 class ReportOptions(Options):
@@ -77,21 +84,23 @@ class ReportOptions(Options):
 
     output: Text | None = None
     window: str | None = None
-    record: Text | None = None
     conditions: Text | None = None
     highlight: Text | None = None
     claims: bool = False
+    record: Text | None = None
     format: PlotFormat = "png"
     html: Text | None = None
     videos: VideoFormat | None = None
     plugins: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Report:
-    """What a report holds, and its files in the order in which they should be shown.
+    """What a report holds. A notebook shows its tables.
 
     Attributes:
+        tables: one for each experiment; more where runs of an experiment cannot be compared.
+        files: that were written, in the order in which they should be shown.
         claims: of the paper, with what the tables say about each; none unless asked for.
         statistics: across seeds, of each table.
     """
@@ -100,10 +109,49 @@ class Report:
     files: tuple[Path, ...]
     claims: tuple[ClaimLine, ...]
     statistics: tuple[SeedStatistics, ...]
+    _looks: Looks
+
+    def __repr__(self) -> str:
+        runs = sum(len(table.runs) for table in self.tables)
+        names = ", ".join(table.title for table in self.tables)
+        return f"Report({runs} run{'s' if runs > 1 else ''}: {names})"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The scores, a line for each row of a table and each kind of levels, and further ones for
+        single levels; the columns are those of `report.csv`, see docs/results.md."""
+        from zipf.experiments.reporting.tables import report_frame
+
+        return report_frame(self.tables)
+
+    def figures(self) -> dict[str, Figure]:
+        """The figures, drawn when this is called, by the names that their files have: the table's
+        and the figure's, such as `demo_learning`."""
+        from zipf.experiments.reporting import draw_matplotlib
+
+        with draw_matplotlib.style():
+            drawn = draw_matplotlib.figures(self.statistics, self._looks)
+            return {f"{table}_{kind}": figure for table, kind, figure in drawn}
+
+    def _repr_html_(self) -> str:
+        import pandas as pd
+
+        from zipf.experiments.reporting.grids import caption, main_grid
+
+        shown = []
+        for table in self.tables:
+            grid = main_grid(table)
+            lines = [[*line.leading, *line.ours] for line in (*grid.lines, *grid.baselines)]
+            cells = pd.DataFrame(lines, columns=[*grid.leading, *grid.columns])
+            notes = "".join(f"<br>{escape(one)}" for one in (caption(table), *table.notes))
+            shown.append(
+                f"<b>{escape(table.title)}</b>{cells.to_html(index=False, border=0)}"
+                f"<small>{notes.removeprefix('<br>')}</small>"
+            )
+        return "<br>".join(shown)
 
 
 def report(
-    folders: Sequence[str | Path],
+    folders: str | Path | Sequence[str | Path],
     output: str | Path | None = None,
     window: str | None = None,
     *,
@@ -113,13 +161,19 @@ def report(
     record: str | Path | None = None,
     format: PlotFormat = "png",
     html: str | Path | None = None,
+    show: bool = False,
 ) -> Report:
-    """Print the tables of all runs under `folders` and write them, with plots, to files.
+    """The tables of all runs under `folders`; with plots they are written to files where `output`
+    says so.
+
+        made = zipf.report("runs/")
+        made.to_dataframe()
+        made.figures()["demo_learning"]
 
     Args:
-        folders: run folders, or folders with runs at any depth.
-        output: where `report.md`, `.tex`, the CSV files and the plots go; `<first folder>/report`
-            if None.
+        folders: a run's folder, or one with runs at any depth; or several of them.
+        output: a folder where `report.md`, `.tex`, the CSV files and the plots go; None: they are
+            not written.
         window: `START:END` in updates, `last`, `last:N`, `scaled` or `own`; each experiment's own
             if None.
         conditions: those to show, in this order: names or titles, in which * stands for anything;
@@ -130,14 +184,14 @@ def report(
             the Markdown files in `folders` themselves, not further down.
         format: of the plots.
         html: also write everything to this file, a page that needs no other; "" is `report.html`
-            in `output`, where one that is there already is written anew in any case.
+            in `output`, or in the current folder. One in `output` that is there already is written
+            anew in any case.
+        show: also print the tables, and which files were written.
 
     Raises:
         UserError: no run there, a damaged file, an unknown window or condition, a page whose name
             does not end in .html, or a file cannot be read or written.
     """
-    from rich.console import Console
-
     from zipf.experiments.records import results
     from zipf.experiments.reporting import draw_matplotlib, latex, markdown, tables, terminal
     from zipf.experiments.reporting.claims import check_claims, csv_claims
@@ -147,7 +201,8 @@ def report(
     from zipf.experiments.reporting.side_by_side import side_by_side
 
     chosen = _checked(window, html)
-    target = Path(output) if output is not None else Path(folders[0]) / "report"
+    folders = [folders] if isinstance(folders, str | Path) else folders
+    target = None if output is None else Path(output)
     runs, order = results.load_runs(folders), list[str]()
     if conditions is not None:
         names = split_names(conditions, runs) if isinstance(conditions, str) else conditions
@@ -156,42 +211,46 @@ def report(
         names = split_names(highlight, runs) if isinstance(highlight, str) else highlight
         highlight = chosen_runs(runs, names)[1]
     found = tables.score_tables(runs, chosen, order)
-    pages = [] if record is None else _pages(folders, [target / "report.md", Path(record)])
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=120)
-    for table in found:
-        terminal.print_table(table, console)
-        console.print()
-    for beside in side_by_side(found):
-        if len(beside.tables) > 1:  # the others would be printed a second time
-            terminal.print_side_by_side(beside, console)
-            console.print()
-    terminal.print_legend(found, console)
+    pages = (
+        [] if record is None else _pages(folders, [(target or Path()) / "report.md", Path(record)])
+    )
     checked = check_claims(found) if claims else []
-    terminal.print_claims(checked, console)
+    if show:
+        shown = console()
+        for table in found:
+            terminal.print_table(table, shown)
+            shown.print()
+        for beside in side_by_side(found):
+            if len(beside.tables) > 1:  # the others would be printed a second time
+                terminal.print_side_by_side(beside, shown)
+                shown.print()
+        terminal.print_legend(found, shown)
+        terminal.print_claims(checked, shown)
     statistics = [seed_statistics(table) for table in found]
     looks = looks_of(found, highlight or ())
 
+    texts: dict[Path, str] = {}
+    drawn: dict[str, list[Path]] = {}
     try:
-        target.mkdir(parents=True, exist_ok=True)
-        _remove_earlier(target)
-        drawn = draw_matplotlib.draw(statistics, looks, target, format)
-        texts = {
-            target / "report.md": markdown.markdown_report(found, drawn, checked, statistics),
-            target / "report.tex": latex.latex_report(found, statistics),
-            target / "report.csv": tables.csv_report(found),
-            target / "statistics.csv": csv_statistics(statistics),
-        }
-        if claims:
-            texts[target / "claims.csv"] = csv_claims(checked)
+        if target is not None:
+            target.mkdir(parents=True, exist_ok=True)
+            _remove_earlier(target)
+            drawn = draw_matplotlib.draw(statistics, looks, target, format)
+            texts = {
+                target / "report.md": markdown.markdown_report(found, drawn, checked, statistics),
+                target / "report.tex": latex.latex_report(found, statistics),
+                target / "report.csv": tables.csv_report(found),
+                target / "statistics.csv": csv_statistics(statistics),
+            }
+            if claims:
+                texts[target / "claims.csv"] = csv_claims(checked)
         if record is not None:
             command = _command(folders, output, window, claims, record)
             texts[Path(record)] = markdown.record(found, command, pages, checked, statistics)
         # A page that is older than the tables beside it would be another report's.
-        beside_tables = target / "report.html"
+        beside_tables = (target or Path()) / "report.html"
         page_files = {Path(html) if html else beside_tables} if html is not None else set()
-        if beside_tables.exists():
+        if target is not None and beside_tables.exists():
             page_files.add(beside_tables)
         if page_files:
             from zipf.experiments.reporting.html import page, report_sections
@@ -209,12 +268,12 @@ def report(
     if len(drawn) > 1:  # more files than one wants to read the names of
         written = [path.as_posix() for path in texts]
         written += [
-            f"{(target / name).as_posix()}_*.{format}: {len(paths)} figures"
+            f"{paths[0].parent.as_posix()}/{name}_*.{format}: {len(paths)} figures"
             for name, paths in drawn.items()
         ]
-    for line in written:
-        console.print(f"Wrote {line}", highlight=False, markup=False, soft_wrap=True)
-    return Report(tuple(found), files, tuple(checked), tuple(statistics))
+    for line in written if show else ():
+        shown.print(f"Wrote {line}", markup=False, soft_wrap=True)
+    return Report(tuple(found), files, tuple(checked), tuple(statistics), looks)
 
 
 def _pages(folders: Sequence[str | Path], written: Collection[Path]) -> list[str]:
@@ -264,7 +323,7 @@ def _command(
     record: str | Path,
 ) -> str:
     arguments = [Path(folder).as_posix() for folder in folders]
-    if output is not None:
+    if output is not None and Path(output) != _usual_output(folders):
         arguments.append(f"output={Path(output).as_posix()}")
     if window is not None:
         arguments.append(f"window={window}")
@@ -272,6 +331,11 @@ def _command(
         arguments.append("claims=true")
     arguments.append(f"record={Path(record).as_posix()}")
     return shlex.join(["python", "-m", "zipf.report", *arguments])
+
+
+def _usual_output(folders: Sequence[str | Path]) -> Path:
+    """Where the command writes to, if it is not told."""
+    return Path(folders[0]) / "report"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -295,11 +359,12 @@ def _report(words: list[str]) -> None:
         from zipf.experiments.playing.videos import record_videos
 
         _checked(options.window, html)
-        record_videos(folders, options.videos, module_names(options.plugins), print)
+        say = (lambda line: None) if is_quiet() else print
+        record_videos(folders, options.videos, module_names(options.plugins), say)
         html = html or ""
     report(
         folders,
-        options.output,
+        options.output or _usual_output(folders),
         options.window,
         conditions=options.conditions,
         highlight=options.highlight,
@@ -307,8 +372,11 @@ def _report(words: list[str]) -> None:
         record=options.record,
         format=options.format,
         html=html,
+        show=True,
     )
 
+
+callable_as(__name__, report)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,13 +1,19 @@
-"""`python -m zipf.train experiment=gridworld`: trains an agent and scores it as it learns."""
+"""Trains an agent and scores it as it learns: `python -m zipf.train experiment=gridworld`, and
+`zipf.train(experiment="gridworld")` in Python."""
 
 from __future__ import annotations
 
 import argparse
+import gc
 import os
+import re
 import shutil
 import signal
 import sys
+import threading
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, Literal, TypedDict, Unpack
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -22,9 +28,138 @@ from zipf.experiments.options import catalogue, command_line, composing, config_
 from zipf.experiments.options.config_files import CONFIG_DIR, PRIMARY
 from zipf.experiments.options.schema import Config
 from zipf.experiments.sweeping import sweeps
-from zipf.output import keep_going
+from zipf.lazy import callable_as
+from zipf.output import QUIET, keep_going, quietly
+from zipf.run import Run
+
+__all__ = ["TrainOptions", "main", "train"]
 
 # PyTorch is imported where a run begins: it takes seconds, and mistakes are answered without.
+
+
+class TrainOptions(TypedDict, total=False):
+    """The options of a run whose names have no dot, as docs/configuration.md explains them."""
+
+    experiment: str
+    condition: str
+    agent: str
+    memory: str
+    auxiliary: str
+    critic: str
+    episodic: str
+    network: str
+    augmentation: str
+    exploration: str
+    reweighting: str
+    hindsight: str
+    learning_rate_decay: Sequence[int] | None
+    runtime: str
+    environment: str
+    name: str | None
+    loggers: Sequence[str]
+    plugins: Sequence[str]
+    loggers: Sequence[str]
+    seed: int
+    updates: int
+    run_root: str | Path
+    device: str
+    precision: Literal["auto", "float32", "bfloat16"]
+    compile: bool
+    capture: bool
+    deterministic: bool
+    threads: int | None
+    processes: int | None
+    resume: Literal["auto", "must", "never"]
+
+
+def train(
+    *,
+    options: Mapping[str, Any] | None = None,
+    config_dir: str | Path | None = None,
+    quiet: bool = False,
+    **chosen: Unpack[TrainOptions],
+) -> Run:
+    """Trains an agent and scores it as it learns; what `python -m zipf.train` does with the same
+    options.
+
+        run = zipf.train(experiment="demo", seed=1, options={"agent.learning_rate": 1e-3})
+
+    The same call again resumes a run, and leaves a finished one as it is. Where it is interrupted,
+    by Ctrl-C or a notebook's stop button, the run keeps a checkpoint, and KeyboardInterrupt is
+    raised; a second time stops it at once. Signals are handled in the main thread alone; in another
+    one only `schedule.stop_after` stops a run. A process trains one run at a time.
+
+    Args:
+        options: those whose names have a dot, by their names.
+        config_dir: a folder of your own experiments, conditions and choices.
+        quiet: print warnings alone.
+        chosen: all other options.
+
+    Returns:
+        The run, also where `schedule.stop_after` has ended it before its last update.
+
+    Raises:
+        UserError: a line for every mistake in the options; or the run cannot begin, go on or be
+            written; or another one is training in this process.
+        KeyboardInterrupt: it was interrupted.
+        SystemExit: SIGTERM or a signal of a cluster has ended it, with a checkpoint.
+    """
+    words = [f"{name}={_text(value)}" for name, value in {**chosen, **(options or {})}.items()]
+    if config_dir is not None:
+        config_files.add_folder(str(config_dir))
+    config = loading.load(words)
+    flags = [] if config_dir is None else ["--config-dir", str(config_dir)]
+    with quietly(quiet):
+        stopped = _train(config, [*flags, *words])
+    if stopped == signal.SIGINT:
+        raise KeyboardInterrupt(f"{config.run_name}: stopped with a checkpoint")
+    if stopped:
+        raise SystemExit(128 + stopped)
+    return Run(config.folder, config.plugins)
+
+
+_training = threading.Lock()
+
+
+def _train(config: Config, words: list[str]) -> int:
+    """Trains; afterwards PyTorch's generators are as before, and the GPU's memory is free."""
+    import torch
+
+    from zipf.experiments import cluster
+    from zipf.experiments.training import runner
+
+    if not _training.acquire(blocking=False):
+        raise UserError(
+            f"{config.run_name}: another run is training in this process; wait for it, or train in "
+            "another process"
+        )
+    gpus = range(torch.cuda.device_count()) if torch.cuda.is_initialized() else ()
+    try:
+        with torch.random.fork_rng(devices=gpus):
+            return runner.train(config, cluster.runtime_of(config), words)
+    finally:
+        _training.release()
+        gc.collect()
+        if torch.cuda.is_initialized():
+            torch.cuda.empty_cache()
+
+
+def _text(value: Any) -> str:
+    """A value as the command line has it."""
+    match value:
+        case None:
+            return "null"
+        case bool():
+            return str(value).lower()
+        case str() | Path():
+            text = str(value)
+            plain = re.fullmatch(r"(?!(true|false|null|nan|inf)$)[a-z_/][\w./-]*", text, re.I)
+            return text if plain else composing.quoted(text)
+        case Mapping():
+            return "{" + ",".join(f"{key}:{_text(one)}" for key, one in value.items()) + "}"
+        case list() | tuple():
+            return "[" + ",".join(map(_text, value)) + "]"
+    return str(value)  # numbers, those of NumPy, too
 
 
 @hydra.main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=PRIMARY)
@@ -56,8 +191,11 @@ def main() -> None:
     """The command: a run, or with `-m` a sweep."""
     keep_going()
     os.environ["HYDRA_FULL_ERROR"] = "1"  # otherwise Hydra shortens the traceback of a run
+    quiet = bool(QUIET & set(sys.argv[1:]))
+    sys.argv[1:] = [word for word in sys.argv[1:] if word not in QUIET]
     try:
-        sys.exit(_main())
+        with quietly(quiet):
+            sys.exit(_main())
     except EXPECTED as error:
         _tell(error)
     except (HydraException, OmegaConfBaseException) as error:
@@ -165,6 +303,8 @@ def _check_flags(arguments: argparse.Namespace) -> None:
     if len(given) > 1:
         raise UserError(f"{' and '.join(given)}: choose one")
 
+
+callable_as(__name__, train)
 
 if __name__ == "__main__":
     main()

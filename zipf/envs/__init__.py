@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+import importlib
+from typing import TYPE_CHECKING
 
 from zipf.envs.baselines import BaselineScore
 from zipf.envs.errors import EngineError, EnvError
@@ -35,6 +35,7 @@ from zipf.envs.family import (
     symmetries,
 )
 from zipf.envs.splits import Normalisation, Split, SplitLevel
+from zipf.lazy import lazily
 from zipf.protocol import BASELINES, KINDS, PAPER_KINDS, Baseline
 
 if TYPE_CHECKING:
@@ -45,17 +46,19 @@ if TYPE_CHECKING:
     from zipf.envs.single import SingleEnv
     from zipf.envs.tensor import TensorEnv
     from zipf.envs.vector import ZipfVectorEnv
-
-# Imported when first asked for: these bring numba, and `import zipf` is to be quick.
-_LAZY = {
-    "GymnasiumVectorEnv": "zipf.envs.gymnasium.vector",
-    "Mixture": "zipf.envs.mixture",
-    "SingleEnv": "zipf.envs.single",
-    "TensorEnv": "zipf.envs.tensor",
-    "ZipfVectorEnv": "zipf.envs.vector",
-    "measure_chance": "zipf.envs.episodes",
-    "zipfian": "zipf.envs.gymnasium.zipfian",
-}
+else:  # imported when first asked for: these bring numba, and `import zipf` is to be quick
+    __getattr__, __dir__ = lazily(
+        __name__,
+        {
+            "GymnasiumVectorEnv": "zipf.envs.gymnasium.vector",
+            "Mixture": "zipf.envs.mixture",
+            "SingleEnv": "zipf.envs.single",
+            "TensorEnv": "zipf.envs.tensor",
+            "ZipfVectorEnv": "zipf.envs.vector",
+            "measure_chance": "zipf.envs.episodes",
+            "zipfian": "zipf.envs.gymnasium.zipfian",
+        },
+    )
 
 __all__ = [
     "BASELINES", "KINDS", "PAPER_KINDS", "SCRIPTED", "Baseline", "BaselineScore", "EngineError",
@@ -67,10 +70,4 @@ __all__ = [
 ]  # fmt: skip
 
 for _package in ("gridworld", "playroom", "labyrinth"):
-    register(import_module(f"zipf.envs.{_package}").FAMILY)
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _LAZY:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_LAZY[name]), name)
+    register(importlib.import_module(f"zipf.envs.{_package}").FAMILY)

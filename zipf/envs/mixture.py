@@ -144,6 +144,8 @@ class Mixture(ZipfVectorEnv):
         self.metadata = first.metadata
         self.reports_success = all(batch.reports_success for batch in self.batches)
         self.longest_episode = max(batch.longest_episode for batch in self.batches)
+        limits = [batch.time_limit for batch in self.batches]
+        self.time_limit = None if None in limits else max(limits)
         self.achieves = all(batch.achieves for batch in self.batches)
         self.sliceable = all(batch.sliceable for batch in self.batches)
         regions = [batch.action_regions for batch in self.batches]
@@ -234,6 +236,15 @@ class Mixture(ZipfVectorEnv):
         frames: list[Any] = [None] * self.num_envs
         for batch, mask in self._parts(self._everywhere):
             drawn = batch.render() or ()
+            for i in np.flatnonzero(mask).tolist():
+                frames[i] = drawn[i]
+        return tuple(frames)
+
+    def pictures(self, width: int, height: int) -> tuple[Any, ...]:
+        """The envs' pictures, as their levels draw them."""
+        frames: list[Any] = [None] * self.num_envs
+        for batch, mask in self._parts(self._everywhere):
+            drawn = batch.pictures(width, height)
             for i in np.flatnonzero(mask).tolist():
                 frames[i] = drawn[i]
         return tuple(frames)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from zipf.envs import pcg64
 from zipf.envs.arguments import mapping, reset_options, whole
 from zipf.envs.errors import EnvError
+from zipf.envs.pictures import fit
 
 Observation = dict[str, NDArray[Any]]
 Info = dict[str, Any]
@@ -130,6 +131,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         sliceable: whether several batches of this class may work at the same time, each in a thread
             or a process of its own, see `zipf.envs.slices`.
         longest_episode: an evaluation takes an episode of more steps for one that never ends.
+        time_limit: steps after which an episode is truncated, at most; None: it is not known.
         level_of_envs: of several levels the name of each env's, [N], or, where one is drawn at
             every reset, the entry of `info` that has it; None: there is one level.
 
@@ -146,6 +148,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     action_regions: NDArray[np.float32] | None = None
     sliceable: bool = False
     longest_episode: int = 1_000_000  # ours
+    time_limit: int | None = None
     level_of_envs: str | NDArray[np.str_] | None = None
 
     def __init__(
@@ -416,6 +419,12 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                         )
 
         return self._step_checked(actions, mask, observation, final)
+
+    def pictures(self, width: int, height: int) -> tuple[NDArray[np.uint8], ...]:
+        """A picture of each env for people, uint8 [rows, columns, 3], as large as fits into these
+        pixels in its own proportions. Families that can draw at any size do so, without captions;
+        of others these are the frames of `render`, scaled. For `render_mode="rgb_array"`."""
+        return tuple(fit(np.asarray(frame), width, height) for frame in self.render() or ())
 
     def report_achieved(self) -> None:
         """From now on the outcome of an episode has two entries more: `achieved` [N, K], the goal

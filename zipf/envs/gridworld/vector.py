@@ -12,6 +12,7 @@ from zipf.envs.gridworld import GridworldOptions, kernels, sprites
 from zipf.envs.gridworld.goal import cues
 from zipf.envs.gridworld.level import Level
 from zipf.envs.gridworld.render import frame
+from zipf.envs.pictures import fit
 from zipf.envs.vector import Observation, ZipfVectorEnv
 
 
@@ -45,7 +46,8 @@ class GridworldVectorEnv(ZipfVectorEnv):
             copy=copy,
             render_mode=render_mode,
         )
-        self.longest_episode = max(self.longest_episode, self.level.max_steps)
+        self.time_limit = self.level.max_steps
+        self.longest_episode = max(self.longest_episode, self.time_limit)
         self._envs = np.zeros((num_envs, 4), dtype=np.int64)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -53,6 +55,13 @@ class GridworldVectorEnv(ZipfVectorEnv):
         if self.render_mode is None:
             return None
         return tuple(frame(self.level.maps, *env) for env in self._envs.tolist())
+
+    def pictures(self, width: int, height: int) -> tuple[NDArray[np.uint8], ...]:
+        """As `ZipfVectorEnv.pictures`, in whole enlargements of the agent's pixels."""
+        smallest = frame(self.level.maps, *self._envs[0].tolist(), scale=1)
+        scale = max(min(width // smallest.shape[1], height // smallest.shape[0]), 1)
+        drawn = (frame(self.level.maps, *env, scale=scale) for env in self._envs.tolist())
+        return tuple(fit(picture, width, height) for picture in drawn)
 
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         kernels.begin(

@@ -150,7 +150,8 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         self._first_action = action_space.start
         self.longest_episode = whole("longest_episode", longest_episode, 1)
         if limits := list(_time_limits(first)):
-            self.longest_episode = max(longest_episode, *limits)
+            self.time_limit = max(limits)
+            self.longest_episode = max(longest_episode, self.time_limit)
         else:
             warnings.warn(
                 f"{id} declares no time limit: an episode of it may never end, and evaluations end "

@@ -88,13 +88,13 @@ class Scenery:
         self._update(mask)
         self.renderer.render(self.scenes, out, mask)
 
-    def large_views(self) -> NDArray[np.uint8]:
-        """The views of all envs for people to watch, uint8 [N, 288, 384, 3]."""
+    def large_views(self, height: int = LARGE[0], width: int = LARGE[1]) -> NDArray[np.uint8]:
+        """The views of all envs for people to watch, uint8 [N, height, width, 3]."""
         n = len(self.shape)
-        views = np.zeros((n, *LARGE, 3), np.uint8)
+        views = np.zeros((n, height, width, 3), np.uint8)
         self._update(np.ones(n, np.bool_))
-        if self._large is None:
-            self._large = _renderer(*LARGE)
+        if self._large is None or (self._large.height, self._large.width) != (height, width):
+            self._large = _renderer(height, width)
         self._large.render(self.scenes, views)
         return views
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from zipf.envs.labyrinth.state import CELL, ITEMS, QUADS, YAW, Envs, X, Y
 from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH
 
 SIZE = 288  # height and width of a map, pixels
-_FINE = 2  # a map is drawn this much larger and then reduced, against jagged lines
+_FINE = 2  # a map is drawn this much larger, at least, and then reduced, against jagged lines
 _NOTHING = (36, 40, 50)
 _SOLID = (62, 68, 82)
 _MARGIN = 0.05
@@ -26,8 +27,8 @@ _LEAST = 0.015  # radius of an item, as a share of the map
 Colour = tuple[int, int, int]
 
 
-def draw_map(envs: Envs, scenery: Scenery, world: int) -> NDArray[np.uint8]:
-    """The map of an env, uint8 [SIZE, SIZE, 3], the north above.
+def draw_map(envs: Envs, scenery: Scenery, world: int, size: int = SIZE) -> NDArray[np.uint8]:
+    """The map of an env, uint8 [size, size, 3], the north above.
 
     Platforms and hills are lighter the higher they are. Thin white outlines are zones in which
     something happens, whether they can be seen or not. Items are in their two colours. The
@@ -35,8 +36,8 @@ def draw_map(envs: Envs, scenery: Scenery, world: int) -> NDArray[np.uint8]:
     with a screen have the screen, with a ring where the player looks.
     """
     if envs.screen[world, 3] > 0:
-        return _draw_screen(envs, scenery, world)
-    page = _Page(_bounds(envs, scenery, world))
+        return _draw_screen(envs, scenery, world, size)
+    page = _Page(_bounds(envs, scenery, world), size)
     if envs.quad[world] > 0:
         _draw_terrain(page, envs, scenery, world)
     _draw_floors(page, envs, scenery, world)
@@ -55,17 +56,19 @@ def draw_map(envs: Envs, scenery: Scenery, world: int) -> NDArray[np.uint8]:
     return page.finished()
 
 
-def empty_map() -> NDArray[np.uint8]:
-    """The map of an env without an episode, uint8 [SIZE, SIZE, 3]."""
-    return np.full((SIZE, SIZE, 3), _NOTHING, np.uint8)
+def empty_map(size: int = SIZE) -> NDArray[np.uint8]:
+    """The map of an env without an episode, uint8 [size, size, 3]."""
+    return np.full((size, size, 3), _NOTHING, np.uint8)
 
 
 class _Page:
     """An image that is drawn on in units of the env."""
 
-    def __init__(self, bounds: tuple[float, float, float, float]) -> None:
+    def __init__(self, bounds: tuple[float, float, float, float], size: int = SIZE) -> None:
         x0, y0, x1, y1 = bounds
-        self.pixels = SIZE * _FINE
+        self.size = size
+        self.fine = _finer(size)  # pixels of this page for one of a map of the usual size
+        self.pixels = SIZE * self.fine
         span = max(x1 - x0, y1 - y0) * (1 + 2 * _MARGIN)
         self.scale = self.pixels / span
         self.west = (x0 + x1 - span) / 2
@@ -97,17 +100,17 @@ class _Page:
     ) -> None:
         left, bottom = self.at(low[0], low[1])
         right, top = self.at(high[0], high[1])
-        self.pen.rectangle((left, top, right, bottom), fill, outline, width=_FINE)
+        self.pen.rectangle((left, top, right, bottom), fill, outline, width=self.fine)
 
     def line(self, ends: Sequence[float], colour: Colour, width: float) -> None:
         points = self.at(ends[0], ends[1]), self.at(ends[2], ends[3])
-        self.pen.line(points, colour, round(width * _FINE))
+        self.pen.line(points, colour, round(width * self.fine))
 
     def disc(self, x: float, y: float, radius: float, main: Colour, accent: Colour) -> None:
         left, top = self.at(x, y)
         radius = max(radius * self.scale, _LEAST * self.pixels)
         for far, colour in (
-            (radius + _FINE, (20, 20, 24)),
+            (radius + self.fine, (20, 20, 24)),
             (radius, accent),
             (0.72 * radius, main),
         ):
@@ -115,7 +118,7 @@ class _Page:
 
     def arrow(self, x: float, y: float, yaw: float, fill: Colour = (255, 255, 255)) -> None:
         left, top = self.at(x, y)
-        for size, colour in ((11.0 * _FINE, (0, 0, 0)), (8.5 * _FINE, fill)):
+        for size, colour in ((11.0 * self.fine, (0, 0, 0)), (8.5 * self.fine, fill)):
             corners = [
                 (left + far * size * math.cos(yaw + turn), top - far * size * math.sin(yaw + turn))
                 for far, turn in ((1.0, 0.0), (0.85, 2.5), (0.3, math.pi), (0.85, -2.5))
@@ -123,7 +126,12 @@ class _Page:
             self.pen.polygon(corners, colour)
 
     def finished(self) -> NDArray[np.uint8]:
-        return np.asarray(self.image.resize((SIZE, SIZE), Image.Resampling.BOX))
+        return np.asarray(self.image.resize((self.size, self.size), Image.Resampling.BOX))
+
+
+def _finer(size: int) -> int:
+    """How much larger than `SIZE` a map of this size is drawn before it is reduced."""
+    return -(-_FINE * size // SIZE)
 
 
 def _bounds(envs: Envs, scenery: Scenery, world: int) -> tuple[float, float, float, float]:
@@ -151,8 +159,19 @@ def _floors(scenery: Scenery, world: int) -> NDArray[np.int64]:
 
 
 def _draw_terrain(page: _Page, envs: Envs, scenery: Scenery, world: int) -> None:
-    heights = envs.heights[world]
+    texture = int(scenery.scenes.terrain_looks[world, 0, 0])
+    colour = _mixed(texture, scenery.scenes.terrain_tint[world])
+    heights = np.ascontiguousarray(envs.heights[world])
     size = float(envs.quad[world])
+    page.image.paste(_terrain(heights.tobytes(), size, tuple(colour.tolist()), page.size))
+
+
+@lru_cache(maxsize=1)  # of all that is drawn it takes longest, and stays the same for an episode
+def _terrain(
+    bytes_of_heights: bytes, size: float, colour: tuple[float, ...], size_of_map: int
+) -> Image.Image:
+    heights = np.frombuffer(bytes_of_heights).reshape(QUADS + 1, QUADS + 1)
+    page = _Page((0.0, 0.0, size * QUADS, size * QUADS), size_of_map)
     x, y = page.grid()
     column, row = x / size, y / size
     inside = (column >= 0) & (column < QUADS) & (row >= 0) & (row < QUADS)
@@ -166,9 +185,8 @@ def _draw_terrain(page: _Page, envs: Envs, scenery: Scenery, world: int) -> None
     # Slopes that face the north-west are lit.
     slope = (np.gradient(height, axis=1) + np.gradient(height, axis=0)) * page.scale
     light *= np.clip(1 + 0.5 * slope, 0.5, 1.4)
-    texture = int(scenery.scenes.terrain_looks[world, 0, 0])
-    colour = _mixed(texture, scenery.scenes.terrain_tint[world])
-    page.paint(light[..., None] * colour, inside)
+    page.paint(light[..., None] * np.array(colour), inside)
+    return page.image
 
 
 def _draw_floors(page: _Page, envs: Envs, scenery: Scenery, world: int) -> None:
@@ -235,20 +253,22 @@ def _colour(values: NDArray[np.floating] | NDArray[np.uint8]) -> Colour:
     return red, green, blue
 
 
-def _draw_screen(envs: Envs, scenery: Scenery, world: int) -> NDArray[np.uint8]:
+def _draw_screen(envs: Envs, scenery: Scenery, world: int, size: int) -> NDArray[np.uint8]:
     """The screen and what surrounds it; of a gaze that is outside the nearest point is marked."""
     horizon, overhead = scenery.scenes.sky[world].astype(np.float64)
-    high = np.linspace(1, 0, SIZE * _FINE)[:, None, None]
-    sky = np.broadcast_to(horizon + (overhead - horizon) * high, (SIZE * _FINE, SIZE * _FINE, 3))
+    fine = _finer(size)
+    pixels = SIZE * fine
+    high = np.linspace(1, 0, pixels)[:, None, None]
+    sky = np.broadcast_to(horizon + (overhead - horizon) * high, (pixels, pixels, 3))
     image = Image.fromarray(sky.astype(np.uint8))
     pen = ImageDraw.Draw(image)
-    side = round(SIZE * _FINE * 0.8)
-    edge = (SIZE * _FINE - side) // 2
+    side = round(pixels * 0.8)
+    edge = (pixels - side) // 2
     rim = side // 16
     pen.rectangle((edge - rim, edge - rim, edge + side + rim, edge + side + rim), _SOLID)
     shown = Image.fromarray(scenery.scenes.screen[world, :, :, :3]).resize((side, side))
     image.paste(shown, (edge, edge))
     x, y = (edge + side * min(max(at, -0.11), 1.11) for at in gaze(envs, world))
-    for far, colour, width in ((16, (0, 0, 0), 8), (14, (255, 255, 255), 4)):
-        pen.ellipse((x - far, y - far, x + far, y + far), None, colour, width)
-    return np.asarray(image.resize((SIZE, SIZE), Image.Resampling.BOX))
+    for far, colour, width in ((8 * fine, (0, 0, 0), 4), (7 * fine, (255, 255, 255), 2)):
+        pen.ellipse((x - far, y - far, x + far, y + far), None, colour, width * fine)
+    return np.asarray(image.resize((size, size), Image.Resampling.BOX))

@@ -15,7 +15,7 @@ from zipf.envs.labyrinth.actions import commands
 from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.levels import LEVELS, Level, by_name
 from zipf.envs.labyrinth.options import LabyrinthOptions
-from zipf.envs.labyrinth.scenery import Scenery
+from zipf.envs.labyrinth.scenery import LARGE, Scenery
 from zipf.envs.labyrinth.state import FRAMES_PER_SECOND, clear, make_envs
 from zipf.envs.labyrinth.topdown import draw_map, empty_map
 from zipf.envs.labyrinth.words import VOCABULARY
@@ -52,6 +52,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         self.action_repeat = chosen.action_repeat
         self.metadata = {**self.metadata, "render_fps": FRAMES_PER_SECOND / self.action_repeat}
         self.max_steps = chosen.max_steps
+        self.time_limit = self._steps(self.level)
         super().__init__(
             num_envs,
             single_observation_space=spaces.Dict(
@@ -87,9 +88,19 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         episode."""
         if self.render_mode is None:
             return None
-        views = self._scenery.large_views()
+        return self._drawn(*LARGE)
+
+    def pictures(self, width: int, height: int) -> tuple[NDArray[np.uint8], ...]:
+        """As `ZipfVectorEnv.pictures`: what the agent sees, and beside it the map from above."""
+        own = self._scenery.renderer
+        high = max(round(min(height, width / (own.width / own.height + 1))), 1)
+        return self._drawn(high, max(round(high * own.width / own.height), 1))
+
+    def _drawn(self, height: int, width: int) -> tuple[NDArray[np.uint8], ...]:
+        """Views of this size, with maps of their height."""
+        views = self._scenery.large_views(height, width)
         maps = [
-            empty_map() if episode is None else draw_map(self.envs, self._scenery, i)
+            empty_map(height) if episode is None else draw_map(self.envs, self._scenery, i, height)
             for i, episode in enumerate(self.episodes)
         ]
         return tuple(np.hstack(pair) for pair in zip(views, maps, strict=True))

@@ -17,9 +17,13 @@ from numpy.typing import NDArray
 from pymunk._chipmunk_cffi import ffi, lib
 
 from zipf.compiled import compiled
+from zipf.envs.errors import EngineError
 from zipf.envs.playroom.constants import FRAME, FRAMES
 from zipf.envs.playroom.state import ANGLE, AX, AY, X, Y
 from zipf.envs.render3d.lanes import written
+
+if sys.platform == "win32":
+    raise EngineError("the playroom needs Linux or macOS: on Windows, run it in WSL")
 
 _STEP, _SET_FORCE, _POSITION, _ANGLE, _VELOCITY, _MOVE, _SET_VELOCITY, _SET_SPIN = range(8)
 _NAMES = (
@@ -30,8 +34,6 @@ _NAMES = (
 
 def address(pointer: Any) -> int:
     """Where a space, a body or a function of Chipmunk is in memory."""
-    if sys.platform == "win32":
-        raise RuntimeError("the playroom's physics runs on Linux and macOS, not on Windows")
     return int(ffi.cast("intptr_t", pointer))
 
 

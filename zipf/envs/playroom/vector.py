@@ -49,7 +49,7 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         height, width = chosen.image_size
         self.object_names = levels.ORDERS[chosen.object_order]
         self.looks = chosen.looks
-        self.max_steps = chosen.max_steps
+        self.max_steps = self.time_limit = chosen.max_steps
         super().__init__(
             num_envs,
             single_observation_space=spaces.Dict(
@@ -101,6 +101,10 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         if self.render_mode is None:
             return None
         return self._view.frames(self._texts.tolist())
+
+    def pictures(self, width: int, height: int) -> tuple[NDArray[np.uint8], ...]:
+        """As `ZipfVectorEnv.pictures`: what the agent sees, with a cross where the hand points."""
+        return self._view.pictures(width, height)
 
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         self._began[mask] = self._streams[mask]

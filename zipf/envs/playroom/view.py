@@ -93,14 +93,29 @@ class View:
 
     def frames(self, texts: list[str]) -> tuple[NDArray[np.uint8], ...]:
         """Larger images with the envs' texts below, uint8 [288, 384, 3]."""
-        height, width = _FRAME
-        images = np.zeros((len(texts), height, width, 3), np.uint8)
-        everywhere = np.ones(len(texts), np.bool_)
+        images = self._drawn(*_FRAME)
+        return tuple(_captioned(image, text) for image, text in zip(images, texts, strict=True))
+
+    def pictures(self, width: int, height: int) -> tuple[NDArray[np.uint8], ...]:
+        """Images in the proportions of the agent's, as large as fit, without texts."""
+        own = self.renderer
+        factor = min(width / own.width, height / own.height)
+        size = (max(round(side * factor), 1) for side in (own.height, own.width))
+        return tuple(self._drawn(*size))
+
+    def _drawn(self, height: int, width: int) -> NDArray[np.uint8]:
+        """Images of this size, uint8 [N, height, width, 3], with a cross where the hand points."""
+        everywhere = np.ones(len(self.scenes.camera), np.bool_)
+        images = np.zeros((len(everywhere), height, width, 3), np.uint8)
         self._update(everywhere)
-        if self._large is None:
+        if self._large is None or (self._large.height, self._large.width) != (height, width):
             self._large = _renderer(height, width)
         self._large.render(self.scenes, images, everywhere)
-        return tuple(_captioned(image, text) for image, text in zip(images, texts, strict=True))
+        x, y = width // 2, height // 2
+        half, line = height // 40, height // 480
+        images[:, y - line : y + line + 1, x - half : x + half + 1] = 255
+        images[:, y - half : y + half + 1, x - line : x + line + 1] = 255
+        return images
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_large": None}
@@ -192,16 +207,13 @@ def _renderer(height: int, width: int) -> Renderer:
 
 
 def _captioned(image: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
-    """The image above its instruction, with a cross where the hand points."""
+    """The image above its instruction."""
     from PIL import Image, ImageDraw, ImageFont
 
     height, width = image.shape[:2]
     canvas = Image.new("RGB", (width, height + _CAPTION), (20, 20, 20))
     canvas.paste(Image.fromarray(image))
     draw = ImageDraw.Draw(canvas)
-    x, y = width // 2, height // 2
-    draw.line([(x - 6, y), (x + 6, y)], fill=(255, 255, 255))
-    draw.line([(x, y - 6), (x, y + 6)], fill=(255, 255, 255))
     font = ImageFont.load_default(size=22)
     draw.text((width // 2, height + _CAPTION // 2), text, (255, 255, 255), font, anchor="mm")
     return np.asarray(canvas)

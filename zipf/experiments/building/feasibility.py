@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+import sys
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import torch
@@ -29,8 +30,12 @@ from zipf.options import Context
 from zipf.registry import registries
 
 
-def problems(config: Config) -> Iterator[str]:
-    """The problems of options that are each valid by themselves, one line each."""
+def problems(config: Config, coming: Collection[Path] = ()) -> Iterator[str]:
+    """The problems of options that are each valid by themselves, one line each.
+
+    `coming` are the folders of runs that will be there when this one begins."""
+    if sys.platform == "win32":
+        yield "training needs Linux or macOS: on Windows, run it in WSL"
     start, end = config.schedule.window
     if start > end:
         yield f"schedule.window=[{start}, {end}]: should begin before it ends"
@@ -63,7 +68,11 @@ def problems(config: Config) -> Iterator[str]:
             f"learning_rate_decay={config.learning_rate_decay}: agent={config.agent.name} has no "
             "learning rate; choose null"
         )
-    parts = {group: getattr(config, group) for group in registries()}
+    parts = {
+        group: getattr(config, group)
+        for group, registry in registries().items()
+        if not registry.several
+    }
     family = envs.family_of_split(config.environment.split)
     context = Context(
         family.name,
@@ -73,7 +82,8 @@ def problems(config: Config) -> Iterator[str]:
         parts,
         config.updates_per_unroll,
     )
-    found = [line for options in parts.values() for line in options.problems(context)]
+    checked = [*parts.values(), *config.loggers.values()]
+    found = [line for options in checked for line in options.problems(context)]
     found += unsupported(config.agent.name, parts)
     yield from found
     yield from _reads_itself(config)
@@ -88,19 +98,21 @@ def problems(config: Config) -> Iterator[str]:
             f"collector.lag={config.lag}: agent={config.agent.name} does not correct for older "
             f"weights; should be at most {agent.largest_lag}"
         )
-    yield from _no_pretrained(config)
+    yield from _no_pretrained(config, coming)
     yield from _no_matcher(config)
     yield from _not_in_a_cluster(config)
     yield from _not_by_several_learners(config)
     yield from (line for line in _cannot_be_built(config) if line not in found)
 
 
-def _no_pretrained(config: Config) -> Iterator[str]:
+def _no_pretrained(config: Config, coming: Collection[Path]) -> Iterator[str]:
     """Why a new run cannot begin with another's weights."""
     run = config.pretrained.run
     if run is None and config.pretrained.parts != PretrainedOptions().parts:
         yield "pretrained.parts: are of another run; give pretrained.run=<its folder>"
     if run is None or (config.folder / "checkpoint.pt").exists():
+        return
+    if config.pretrained.folder in coming:
         return
     try:
         folder = Path(run).expanduser()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from pathlib import Path
+
 from zipf.errors import UserError
 from zipf.experiments.options import command_line
 from zipf.experiments.options.schema import Config
@@ -15,11 +18,13 @@ def load(overrides: list[str]) -> Config:
     return config
 
 
-def check(config: Config) -> None:
-    """Raises `UserError` where options do not fit each other, the environments or this machine."""
+def check(config: Config, coming: Collection[Path] = ()) -> None:
+    """Raises `UserError` where options do not fit each other, the environments or this machine.
+
+    `coming` are the folders of runs that will be there when this one begins."""
     from zipf.experiments.building import feasibility  # here: it imports PyTorch
 
-    if problems := list(feasibility.problems(config)):
+    if problems := list(feasibility.problems(config, coming)):
         raise UserError("\n".join(problems))
 
 

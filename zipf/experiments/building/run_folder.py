@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import platform
 import shlex
 import subprocess
-import sys
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -129,12 +127,13 @@ def fits(path: Path) -> Iterator[None]:
 def write_description(
     config: Config,
     situation: dict[str, int],
-    resumed_at: int | None,
+    words: Sequence[str],
     *,
+    resumed_at: int | None,
     pretrained: dict[str, Any] | None = None,
 ) -> None:
-    """Writes `config.yaml` and `run.json`: what is run, how and with what, and with which run's
-    weights a new one began (`pretrained`).
+    """Writes `config.yaml` and `run.json`: what is run, how (by a command with the arguments
+    `words`) and with what, and with which run's weights a new one began (`pretrained`).
 
     A resumed run keeps the description of how it began; how it went on is added to `resumed`.
     Raises UserError: the folder cannot be written, or a resumed run's description is gone or
@@ -142,7 +141,7 @@ def write_description(
     """
     split = config.split
     how: dict[str, Any] = {
-        "command": shlex.join([*_started_by(config), "-m", "zipf.train", *sys.argv[1:]]),
+        "command": shlex.join([*_started_by(config), "-m", "zipf.train", *words]),
         "commit": commit(),
         "version": zipf.__version__,
         "torch": torch.__version__,
@@ -266,6 +265,8 @@ def make(folder: Path) -> None:
 def lock(folder: Path) -> Iterator[None]:
     """Holds a run's folder against other processes, until this one ends, however it ends.
     Raises UserError: another process is training there, or the folder cannot be written."""
+    import fcntl  # here: Windows has none, and only training locks
+
     make(folder)
     try:
         file = open(folder / "lock", "a")  # noqa: SIM115

@@ -16,11 +16,14 @@ class AgentPolicy:
         agent: acts as it does when it is scored, without exploration.
         seed: of the draws.
         device: where the agent computes.
+        deterministic: take the most probable action in the place of a draw. An agent whose `act`
+            returns no `logits`, such as R2D2, draws nothing when it is scored.
     """
 
-    def __init__(self, agent: Agent, *, seed: int, device: str):
+    def __init__(self, agent: Agent, *, seed: int, device: str, deterministic: bool = False):
         self.agent = agent
         self.device = device
+        self.deterministic = deterministic
         self.generator = torch.Generator().manual_seed(seed)
 
     def start(self, num_envs: int) -> None:
@@ -37,7 +40,9 @@ class AgentPolicy:
             torch.from_numpy(reward).to(self.device).masked_fill(first, 0.0),
             first,
         )
-        self.action, self.memory, _ = self.agent.act(
+        self.action, self.memory, of_step = self.agent.act(
             inputs, self.memory, self.generator, training=False
         )
+        if self.deterministic and "logits" in of_step:
+            self.action = of_step["logits"].argmax(-1)
         return self.action.cpu().numpy()

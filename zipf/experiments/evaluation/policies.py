@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -16,24 +16,10 @@ from zipf import envs
 from zipf.experiments.evaluation.evaluator import Policy
 from zipf.experiments.evaluation.scripted import ScriptedPolicy
 
-if TYPE_CHECKING:
-    from zipf.experiments.evaluation.trained import TrainedPolicy
-
 _MAKERS = (
-    "zipf.evaluate.trained(folder) makes a policy of a run; policy(...) of zipf.adapters.onnx, "
+    "zipf.load_agent(folder) makes a policy of a run; policy(...) of zipf.adapters.onnx, "
     "torchscript, torchrl or stable_baselines3 one of an agent of another library"
 )
-
-
-def trained(folder: str | Path) -> TrainedPolicy:
-    """The agent of a run's checkpoint as a policy for `score`; it computes on the CPU.
-
-    Raises:
-        zipf.errors.UserError: no agent can be loaded from the folder.
-    """
-    from zipf.experiments.evaluation.trained import TrainedPolicy  # imports PyTorch
-
-    return TrainedPolicy(Path(folder))
 
 
 def as_policy(

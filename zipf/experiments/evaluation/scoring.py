@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
+from html import escape
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -31,9 +32,10 @@ HOW_STEPPED = {"autoreset_mode", "copy", "render_mode"}
 """Constructor options that say how environments are stepped and drawn, and not what is played."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Evaluation:
-    """What `zipf.evaluate.score(..., details=True)` returns.
+    """What `zipf.score(..., details=True)` returns. A notebook shows the scores with their
+    intervals.
 
     Intervals are 95 % confidence intervals. They cover the chance of the episodes that were played,
     not the differences between agents trained from other seeds. Of a level whose returns are all 0
@@ -65,16 +67,32 @@ class Evaluation:
 
     split: str
     env_options: Mapping[str, Mapping[str, Any]]
-    episodes: pd.DataFrame = field(repr=False)
-    situations: pd.DataFrame = field(repr=False)
+    episodes: pd.DataFrame
+    situations: pd.DataFrame
     levels: pd.DataFrame
     kinds: pd.DataFrame
-    results: Sequence[Result] = field(repr=False)
+    results: Sequence[Result]
 
     @property
     def scores(self) -> dict[str, float]:
         """The score of each kind of levels, as `score` returns without `details`."""
         return scores(self.results)
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{kind} {score:.3f}" for kind, score in self.scores.items())
+        return f"Evaluation({self.split}: {shown})"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """A copy of `levels`."""
+        return self.levels.copy()
+
+    def _repr_html_(self) -> str:
+        shown = [
+            (row.level_kind, f"{row.score:.3f}", f"{row.score_low:.3f} to {row.score_high:.3f}")
+            for row in self.kinds.itertuples()
+        ]
+        table = pd.DataFrame(shown, columns=["Levels", "Score", "95 % interval"])
+        return f"<b>{escape(self.split)}</b>{table.to_html(index=False, border=0)}"
 
 
 @overload
@@ -121,7 +139,7 @@ def score(
     Args:
         policy: a function from observations `{name: [N, ...]}` to actions [N], or a
             `zipf.evaluate.Policy`, which may have a memory; "expert" or "generalist" for a scripted
-            policy of the split's family. `zipf.evaluate.trained` makes one of the agent of a run,
+            policy of the split's family. `zipf.load_agent` makes one of the agent of a run,
             `policy` in each module of `zipf.adapters` one of an agent of another library.
         split: the benchmark, for instance "gridworld", or a `zipf.envs.Split` of your own.
         episodes: played on each level; None: as many as the split says: 1000, in the labyrinth's

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
 
 from zipf import envs
 from zipf.agents.agent import Agent
@@ -23,16 +24,143 @@ from zipf.experiments.options import composing
 from zipf.experiments.options.schema import Config, EvaluateOptions, has_bfloat16, module_names
 
 
-@dataclass(frozen=True)
-class Trained:
-    """The agent of a run, as it was at an update."""
+class TrainedAgent:
+    """The agent of a run, as it was at an update: acts in environments of one's own, and is a
+    policy of `zipf.score`. `zipf.load_agent` makes it.
 
-    config: Config
-    agent: Agent
-    update: int
+    It acts as it does when it is scored: without exploration, agents with a policy by draws from
+    it, R2D2 greedily. Its memory and its last actions are kept between calls.
+
+        agent = zipf.load_agent("runs/demo/impala_mlp/seed0")
+        env = zipf.make_vec("gridworld/rare", 16, **agent.env_options)
+        observation, _ = env.reset(seed=0)
+        action = agent.act(observation)
+        while True:
+            observation, reward, terminated, truncated, _ = env.step(action)
+            action = agent.act(observation, reward, terminated | truncated)
+
+    Attributes:
+        folder: the run's.
+        config: the run's options, with the device to compute on.
+        update: how many updates the agent has made.
+        env_options: the constructor options of the levels that it was trained on.
+        observation_space, action_space: of one of its environments.
+        agent: what acts and learns (`zipf.agents.agent.Agent`).
+    """
+
+    def __init__(self, folder: Path, config: Config, agent: Agent, update: int, seed: int) -> None:
+        self.folder = folder
+        self.config = config
+        self.agent = agent
+        self.update = update
+        self.env_options = config.level_options
+        self.observation_space = agent.spec.observation_space
+        self.action_space = agent.spec.action_space
+        self.reset(seed=seed)
+
+    def __repr__(self) -> str:
+        return f"TrainedAgent({self.folder.as_posix()!r}, update={self.update})"
+
+    def reset(self, *, seed: int | None = None) -> None:
+        """Forgets all: new episodes begin in all environments, of which there may be another number
+        than before. Where `seed` is given the draws of actions begin anew from it."""
+        if seed is not None:
+            self._policy = AgentPolicy(self.agent, seed=seed, device=self.config.torch_device)
+        self._acts_in: int | None = None
+
+    def act(
+        self,
+        observation: Mapping[str, NDArray],
+        reward: ArrayLike | None = None,
+        is_first: ArrayLike | None = None,
+        *,
+        deterministic: bool = False,
+    ) -> NDArray[np.int64] | int:
+        """The next action, in one environment or in each of N.
+
+        Args:
+            observation: `{name: [...]}` of one environment, or `{name: [N, ...]}`.
+            reward: of the last action, float or [N]; needed but for the first call after `reset`,
+                because agents read it.
+            is_first: bool or [N], where this observation is the first of an episode; there the
+                memory is cleared. After a step of a vector environment that resets in the same
+                step, as those of `zipf.make_vec` do, that is `terminated | truncated`.
+            deterministic: take the most probable action; otherwise one is drawn.
+
+        Returns:
+            int for one environment, int64 [N] for N.
+
+        Raises:
+            ValueError: other observations than the agent was trained with, another number of
+                environments than in the last call, or no reward.
+        """
+        alone = self._is_alone(observation)
+        batch = {
+            name: np.asarray(observation[name])[None] if alone else np.asarray(observation[name])
+            for name in self.observation_space
+        }
+        count = len(next(iter(batch.values())))
+        begins = self._acts_in is None
+        if begins:
+            self._policy.start(count)
+            self._acts_in = count
+        elif count != self._acts_in:
+            raise ValueError(
+                f"act: {count} environments, and {self._acts_in} before; reset() begins anew"
+            )
+        elif reward is None:
+            raise ValueError(
+                "act: needs the reward of the last action: act(observation, reward); or reset() "
+                "where an episode begins"
+            )
+        rewards = np.zeros(count) if begins or reward is None else np.asarray(reward)
+        firsts = np.asarray(begins or (False if is_first is None else is_first), bool)
+        self._policy.deterministic = deterministic
+        actions = self._policy(
+            batch,
+            np.array(np.broadcast_to(rewards, count), np.float32),
+            np.array(np.broadcast_to(firsts, count)),
+        )
+        return int(actions[0]) if alone else actions
+
+    def _is_alone(self, observation: Mapping[str, NDArray]) -> bool:
+        """Whether an observation is of one environment. Raises ValueError where it is none."""
+        found = set()
+        for name, space in self.observation_space.items():
+            assert space.shape is not None
+            shape = np.shape(observation[name]) if name in observation else None
+            if shape is None or shape[max(len(shape) - len(space.shape), 0) :] != space.shape:
+                got = "is missing" if shape is None else f"has shape {shape}"
+                raise ValueError(
+                    f"act: observation {name!r} {got}; should be {space.shape} or "
+                    f"(N, {', '.join(map(str, space.shape))})"
+                )
+            found.add(len(shape) - len(space.shape))
+        if len(found) > 1 or not found <= {0, 1}:
+            raise ValueError("act: observations should be of one environment, or of N each")
+        return found == {0}
+
+    def for_envs(
+        self, observation_space: spaces.Dict, action_space: spaces.Discrete, seed: int
+    ) -> AgentPolicy:
+        """The policy that plays environments with these spaces; its actions are drawn from `seed`.
+        `zipf.score` calls this.
+
+        Raises:
+            ValueError: the agent was trained in environments with other spaces.
+        """
+        known = self.observation_space, self.action_space
+        if known != (observation_space, action_space):
+            raise ValueError(
+                f"{self.folder}: its agent was trained in environments with {known[0]} and "
+                f"{known[1]}; those to play have {observation_space} and {action_space}"
+            )
+        return AgentPolicy(self.agent, seed=seed, device=self.config.torch_device)
 
 
-def load_agent(folder: Path, device: str, plugins: Sequence[str] = ()) -> Trained:
+def load_agent(
+    folder: str | Path, device: str = "cpu", plugins: Sequence[str] = (), *, seed: int = 0
+) -> TrainedAgent:
     """Loads the agent of a run's checkpoint or, where there is none, of its weights.
 
     One that was trained in bfloat16 acts in float32 on a device without instructions for that: the
@@ -40,15 +168,16 @@ def load_agent(folder: Path, device: str, plugins: Sequence[str] = ()) -> Traine
 
     Args:
         folder: the run's.
-        device: to compute on.
+        device: to compute on: `cpu`, `cuda`, `cuda:<number>` or `auto`.
         plugins: modules to import first, see `zipf.plugins`.
+        seed: of the draws of actions in `TrainedAgent.act`.
 
     Raises:
         UserError: the folder holds no run or neither file, or the file is damaged or was made with
             other options.
     """
     composing.load_plugins(plugins)
-    folder = folder.expanduser()
+    folder = Path(folder).expanduser()
     config = run_folder.read_config(folder, plugins).model_copy(update={"device": device})
     path = run_folder.agent_file(folder)
     saved = checkpoint.load(path)
@@ -67,7 +196,7 @@ def load_agent(folder: Path, device: str, plugins: Sequence[str] = ()) -> Traine
         else:
             assert isinstance(agent, Learner)  # others have no such file
             agent.load_weights(saved["weights"])
-        return Trained(config, agent, saved["update"])
+        return TrainedAgent(folder, config, agent, saved["update"], seed)
 
 
 def evaluate_agent(
@@ -139,38 +268,3 @@ def evaluate_scripted(
             )
         except ValueError as error:
             raise UserError(str(error)) from None
-
-
-class TrainedPolicy:
-    """The agent of a run's checkpoint, for `zipf.evaluate.score`.
-
-    Attributes:
-        env_options: the constructor options of its levels.
-
-    Raises:
-        UserError: no agent can be loaded from the folder.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.trained = load_agent(folder, "cpu")
-        self.env_options = self.trained.config.level_options
-
-    def for_envs(
-        self, observation_space: spaces.Dict, action_space: spaces.Discrete, seed: int
-    ) -> AgentPolicy:
-        """The policy that plays environments with these spaces; its actions are drawn from `seed`.
-
-        Raises:
-            ValueError: the agent was trained in environments with other spaces.
-        """
-        config = self.trained.config
-        env = envs.make_vec(config.split.uniform[0], 1, **config.level_options)
-        known = env.single_observation_space, env.single_action_space
-        env.close()
-        if known != (observation_space, action_space):
-            raise ValueError(
-                f"{self.folder}: its agent was trained in environments with {known[0]} and "
-                f"{known[1]}; those to play have {observation_space} and {action_space}"
-            )
-        return AgentPolicy(self.trained.agent, seed=seed, device="cpu")

@@ -79,7 +79,8 @@ Examples:
     python -m zipf.train experiment=gridworld
     python -m zipf.train experiment=demo condition=r2d2 agent.learning_rate=1e-4 --explain agent
     python -m zipf.train -m experiment=gridworld_compact memory=mlp,lstm seed=0,1,2
-    python -m zipf.train -m sweep=demo hydra/launcher=joblib hydra.launcher.n_jobs=2"""
+    python -m zipf.train -m sweep=demo hydra/launcher=joblib hydra.launcher.n_jobs=2
+    python -m zipf.train -m experiment=demo 'agent.discount=interval(0.9,1)' search=random"""
 
 
 def help_text(overrides: Sequence[str] = ()) -> str:
@@ -106,6 +107,9 @@ def _all_choices() -> str:
         ],
         "-m sweep= (a sweep; or -m and lists of values)": [
             (name, summary("sweep", name)) for name in composing.choices("sweep")
+        ],
+        "-m search= (a sweep over intervals and lists, drawn and scored)": [
+            (name, summary("search", name)) for name in composing.choices("search")
         ],
         "hydra/launcher= (what starts the jobs of a sweep)": list(LAUNCHERS.items()),
         "Other groups:": [

@@ -21,6 +21,7 @@ from zipf.errors import UserError
 from zipf.experiments.options import composing, config_files
 from zipf.experiments.options.catalogue import condition_row
 from zipf.experiments.options.composing import Composed, choices, composed, groups
+from zipf.experiments.options.naming import RowName
 from zipf.experiments.options.schema import (
     DEVICE_PATTERN,
     NAME_PATTERN,
@@ -68,9 +69,10 @@ def read_composed(overrides: list[str]) -> tuple[Config, Composed]:
     composed = _compose_condition(*known)
     values = dict(composed.values)
     name = values.pop("name")
-    values["condition"] = _name(composed) if name is None else name
+    row = row_name(composed) if name is None else RowName(name, {})
+    values["condition"] = row.folder if name is None else name
     named = isinstance(values["condition"], str) and values["condition"]
-    values["row"] = _row(values["condition"]) if named else {"title": "unnamed"}
+    values["row"] = _row(row) if named else {"title": "unnamed"}
     values["row"] |= _asked_of_row(parsed, composed)
     del values["without_instruction"]
     try:
@@ -266,12 +268,11 @@ def _plugins(overrides: list[Override]) -> list[str]:
     return names
 
 
-def _row(condition: str) -> dict[str, Any]:
-    """How tables show a condition: as its file says, with changed options after the title."""
-    base, *changes = condition.split(",")
-    known = base in choices("condition")
-    row = condition_row(base).model_dump(exclude_unset=True) if known else {"title": base}
-    return {**row, "title": ", ".join([row["title"], *changes])}
+def _row(name: RowName) -> dict[str, Any]:
+    """How tables show a row: as the condition's file says, with changed options after the title."""
+    known = name.base in choices("condition")
+    row = condition_row(name.base).model_dump(exclude_unset=True) if known else {"title": name.base}
+    return {**row, "title": ", ".join([row["title"], *name.words])}
 
 
 def _asked_of_row(overrides: list[Override], composed: Composed) -> dict[str, Any]:
@@ -312,6 +313,14 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
         key, text = override.key_or_group, str(override.input_line)
         if override.is_delete():
             problems.append(f"{text}: options cannot be deleted; give another value")
+        elif key in config_files.several():
+            value = override.value()
+            chosen = [str(one) for one in (value if isinstance(value, list) else [value])]
+            for one in chosen:
+                if one not in choices(key):
+                    hint = f"{nearest(one, choices(key))}; {key}=[] for none"
+                    problems.append(f"{key}=[{one}]: no such {key.removesuffix('s')}; {hint}")
+            known += [text] if set(chosen) <= set(choices(key)) else []
         elif key in available:
             value = str(override.value())
             if key == "experiment" and experiment not in (None, value):
@@ -348,21 +357,33 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
         else:
             group = key.partition(".")[0]
             part = values.get(group)
-            if owners := _owners(key):
+            if name := _not_chosen(key, values):
+                hint = f"choose it: {group}=[{','.join([*(part or {}), name])}]"
+            elif group in ("search", "sweep"):
+                hint = "what makes many runs goes with python -m zipf.train -m"
+            elif owners := _owners(key):
                 hint = f"{group}={'|'.join(owners)} has it"
             elif isinstance(part, dict) and list(part) == ["name"]:  # a choice such as none
                 chosen = part["name"]
                 others = "|".join(one for one in choices(group) if one != chosen)
                 hint = f"{group}={chosen} has none; choose {group}={others}"
             else:
-                hint = nearest(key, [*accepted, "sweep"])
+                hint = nearest(key, [*accepted, "sweep", "search"])
             problems.append(f"{key}: no such option; {hint}")
     return known, problems
 
 
+def _not_chosen(option: str, values: dict[str, Any]) -> str:
+    """Of a group with several choices the one whose option this is; empty where it is chosen."""
+    group, _, option = option.partition(".")
+    name = option.partition(".")[0]
+    there = group in config_files.several() and name in choices(group)
+    return name if there and name not in (values.get(group) or {}) else ""
+
+
 def _misspelt(keys: Iterable[str]) -> dict[str, str]:
     """Of options that are like one that there is in every experiment, that one."""
-    names = [*groups(), *Config.model_fields, "name", "sweep", "hydra"]
+    names = [*groups(), *Config.model_fields, "name", "sweep", "search", "hydra"]
     hints = {}
     for key in keys:
         name = key.partition(".")[0].partition("/")[0]
@@ -426,38 +447,35 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
             yield f"{name}={shown:.200}: {message}"
 
 
-def _name(composed: Composed) -> str:
+def row_name(composed: Composed) -> RowName:
     """The name of a row: the condition, or agent, memory, auxiliary loss, critic and episodic
     memory; then all options that differ from theirs. Those of the paper's plain agent are left out.
     """
     chosen = composed.choices
-    name = chosen["condition"]
-    if name == "None":
-        name = chosen["agent"]
+    base = chosen["condition"]
+    if base == "None":
+        base = chosen["agent"]
         for group, plain in _PLAIN.items():
             if chosen[group] != plain:
-                name += f"_{_IN_NAMES.get(chosen[group], chosen[group])}"
+                base += f"_{_IN_NAMES.get(chosen[group], chosen[group])}"
     start = [f"experiment={chosen['experiment']}"]
     compared = [part for part in config_files.parts() if part not in ("agent", *_PLAIN)]
-    if name in choices("condition"):
-        start.append(f"condition={name}")
+    if base in choices("condition"):
+        start.append(f"condition={base}")
         compared += ["agent", *_PLAIN]
     usual = _compose_condition(*start).choices
     other = [group for group in config_files.parts() if chosen[group] != usual[group]]
-    base = flatten(_compose_condition(*start, *(f"{g}={chosen[g]}" for g in other)).values)
-    for group in compared:
-        if group in other:
-            name += f",{group}={chosen[group]}"
-    for option, value in flatten(composed.values).items():
+    there = flatten(_compose_condition(*start, *(f"{g}={chosen[g]}" for g in other)).values)
+    changes: dict[str, Any] = {group: chosen[group] for group in compared if group in other}
+    here = flatten(composed.values)
+    for option, value in here.items():
         if option.split(".")[0] in ("seed", "experiment", "name", "without_instruction"):
             continue
-        if option == "precision" and base[option] == "auto":
+        if option == "precision" and there[option] == "auto":
             continue  # the same run goes on with it on another machine; its checkpoint checks it
-        if affects_learning(option) and value != base.get(option):
-            if option == "pretrained.run":
-                value = _of_seeds(value)
-            name += f",{option}={str(value).replace(' ', '').replace('/', '_')}"
-    return name
+        if affects_learning(option) and value != there.get(option):
+            changes[option] = _of_seeds(value) if option == "pretrained.run" else value
+    return RowName(base, changes, tuple(filter(affects_learning, here)))
 
 
 def _of_seeds(folder: Any) -> str:

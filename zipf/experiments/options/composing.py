@@ -10,6 +10,7 @@ from __future__ import annotations
 import codecs
 import copy
 import re
+import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -34,6 +35,7 @@ from zipf.experiments.options.written import Written, read
 from zipf.options import Options
 from zipf.registry import registries
 
+_using_hydra = threading.Lock()
 _SEED = re.compile(r"seed=\d{1,18}")
 
 
@@ -166,14 +168,16 @@ def _composed(search_path: str, *overrides: str) -> tuple[DictConfig, dict[str, 
 
 @contextmanager
 def _hydra() -> Iterator[None]:
-    """Hydra at `configs/`, also while it runs the command."""
-    backup = GlobalHydra.instance().hydra
-    GlobalHydra.instance().clear()
-    try:
-        with initialize_config_dir(str(config_files.CONFIG_DIR), version_base="1.3"):
-            yield
-    finally:
-        GlobalHydra.instance().hydra = backup
+    """Hydra at `configs/`, also while it runs the command. It is one for all threads, and
+    afterwards as it was."""
+    with _using_hydra:
+        backup = GlobalHydra.instance().hydra
+        GlobalHydra.instance().clear()
+        try:
+            with initialize_config_dir(str(config_files.CONFIG_DIR), version_base="1.3"):
+                yield
+        finally:
+            GlobalHydra.instance().hydra = backup
 
 
 def config(name: str) -> tuple[dict[str, Any], Written | None]:
@@ -270,7 +274,8 @@ def _store() -> None:
     for group, known in _registered().items():
         for name, values in known.items():
             if find(group, name) is None:
-                store.store(group=group, name=name, node=values)
+                place = config_files.package(group, name)
+                store.store(group=group, name=name, node=values, package=place)
 
 
 def _forget(path: str) -> None:

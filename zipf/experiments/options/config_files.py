@@ -1,9 +1,9 @@
 """Where configurations are: `configs/`, folders of the user's and of plugins.
 
 `configs/` has a file for each group, with a block for each choice; a file for each experiment; one
-for all conditions and one for all sweeps. Hydra has a file for each choice, in a folder for each
-group: so `nodes` makes of ours what Hydra would find in such folders. A folder of the user's may be
-laid out in either way.
+for all conditions, one for all sweeps and one for searches. Hydra has a file for each choice, in a
+folder for each group: so `nodes` makes of ours what Hydra would find in such folders. A folder of
+the user's may be laid out in either way.
 """
 
 from __future__ import annotations
@@ -74,14 +74,25 @@ def usual() -> Written:
 
 def parts() -> list[str]:
     """The groups whose choices say how is learned: agent, memory, network and so on."""
-    return list(usual().values)
+    return [group for group in usual().values if group not in several()]
+
+
+def several() -> list[str]:
+    """The groups of which a run has any number of choices: loggers."""
+    return [group for group, choice in usual().values.items() if isinstance(choice, list)]
+
+
+def package(group: str, name: str) -> str | None:
+    """Where the values of a choice go; None: to the options of its group."""
+    return f"{group}.{name}" if group in several() else None
 
 
 def groups() -> set[str]:
     """The groups that have files."""
     found = {path.name for folder in folders() for path in folder.iterdir() if path.is_dir()}
-    others = {"values", "sweep", "hydra", "experiments"}  # values are chosen by the other groups
-    return (found | {"experiment", "condition", *parts()}) - others
+    # values are chosen by the other groups
+    others = {"values", "sweep", "search", "hydra", "experiments"}
+    return (found | {"experiment", "condition", *usual().values}) - others
 
 
 def choices(group: str) -> set[str]:
@@ -119,10 +130,10 @@ def _written(folder: Path, group: str) -> dict[str, Written]:
     if group == "experiment":
         return {path.stem: read(path) for path in sorted(folder.glob("experiments/*.yaml"))}
     path = folder / f"{group}.yaml"
-    if not (group in ("condition", "sweep") or group in parts()) or not path.is_file():
+    if group not in ("condition", "sweep", "search", *usual().values) or not path.is_file():
         return {}
     found = blocks(path)
-    if group in parts():
+    if group in usual().values:
         named = {name: {"name": name, **(one.values or {})} for name, one in found.items()}
         found = {name: replace(one, values=named[name]) for name, one in found.items()}
     return found
@@ -141,6 +152,9 @@ def nodes() -> dict[str, Node]:
         for name, one in written.items():
             if one is not None:
                 found[f"{group}/{name}"] = Node(one.values, None, one)
+    for group in several():
+        for name, one in _all(group).items():
+            found[f"{group}/{name}"] = Node(one.values, package(group, name), one)
     for name, one in _all("condition").items():
         found |= _condition(name, one)
     experiments = _all("experiment")

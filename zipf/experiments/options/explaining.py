@@ -15,6 +15,7 @@ from zipf.errors import UserError
 from zipf.experiments.options import command_line, composing, config_files
 from zipf.experiments.options.composing import Composed
 from zipf.experiments.options.config_files import find
+from zipf.experiments.options.naming import RowName
 from zipf.experiments.options.schema import Config, RowOptions
 from zipf.experiments.options.written import Place, read
 from zipf.experiments.records.learned_options import flatten
@@ -57,7 +58,7 @@ def explain(overrides: list[str]) -> list[Origin]:
         known |= _given(word, known, list(options))
     known |= _without_instruction(composed)
     known["condition"] = _condition(known, config, composed)
-    known |= {f"row.{part}": _row(part, known, config) for part in RowOptions.model_fields}
+    known |= {f"row.{part}": _row(part, known, composed) for part in RowOptions.model_fields}
     if composed.values["precision"] == "auto":
         known["precision"] = replace(known["precision"], rule="auto: what is fast on this device")
     if config.collector.lag is None:
@@ -142,13 +143,22 @@ def _written(composed: Composed) -> Iterator[tuple[str, Origin]]:
             if value == "???" or option.startswith(("defaults", "hydra.")):
                 continue
             full = f"{package}.{option}" if package else option
-            if option == "name" and package == group:
-                yield full, _chosen(group, name, layers.chosen.get(group, ""))
+            if option == "name" and package in (group, config_files.package(group, name)):
+                by = layers.chosen.get(group, "")
+                if group in config_files.several():  # of which Hydra does not tell
+                    by = [one for one, _ in layers.configs if _chooses(one, group)][-1]
+                yield full, _chosen(group, name, by)
             elif written is None:
                 yield full, _registered(group, name, option, value)
             else:
                 place = written.places.get(option, written.place)
                 yield full, Origin(full, value, place, comment=place.comment)
+
+
+def _chooses(config: str, group: str) -> bool:
+    """Whether a configuration has the choices of a group."""
+    written = composing.config(config)[1]
+    return written is not None and f"choose.{group}" in written.places
 
 
 def _chosen(group: str, choice: str, by: str) -> Origin:
@@ -172,8 +182,11 @@ def _registered(group: str, name: str, option: str, value: Any) -> Origin:
 
 def _default(config: Config, option: str) -> Origin:
     """An option that no configuration has."""
-    part, _, name = option.rpartition(".")
-    return _of_class(type(getattr(config, part) if part else config), name)
+    *parts, name = option.split(".")
+    of: Any = config
+    for part in parts:
+        of = of[part] if isinstance(of, dict) else getattr(of, part)
+    return _of_class(type(of), name)
 
 
 def _of_class(options: type[Options], name: str) -> Origin:
@@ -203,6 +216,8 @@ def _given(word: str, known: dict[str, Origin], options: list[str]) -> dict[str,
         keys = [f"{key}.{option}" for option in flatten(value)]
     elif key in config_files.parts():
         keys = [f"{key}.name"]
+    elif key in config_files.several():
+        keys = [f"{key}.{name}.name" for name in (value if isinstance(value, list) else [value])]
     else:
         keys = ["condition" if key == "name" else key]
     found = {}
@@ -235,15 +250,16 @@ def _condition(known: dict[str, Origin], config: Config, composed: Composed) -> 
     return Origin("condition", None, rule="name: null, from the choices and what differs from them")
 
 
-def _row(part: str, known: dict[str, Origin], config: Config) -> Origin:
+def _row(part: str, known: dict[str, Origin], composed: Composed) -> Origin:
     """How tables show the row."""
     option = f"row.{part}"
     if option in known and known[option].rule.startswith("command line"):
         return known[option]
-    base, *changes = config.condition.split(",")
-    written = find("condition", base)
+    name = composed.values["name"]
+    row = RowName(name, {}) if name is not None else command_line.row_name(composed)
+    written = find("condition", row.base)
     if written is not None and (place := written.places.get(option)):
-        rule = "and what differs" if part == "title" and changes else ""
+        rule = "and what differs" if part == "title" and row.changes else ""
         return Origin(option, None, place, rule, place.comment)
     return Origin(option, None, rule="name") if part == "title" else _of_class(RowOptions, part)
 

@@ -102,6 +102,14 @@ class PretrainedOptions(Options):
     run: Annotated[str, Field(min_length=1)] | None = None
     parts: list[str] = Field(default=["encoder"], min_length=1)
 
+    @property
+    def folder(self) -> Path | None:
+        """That of `run`; None where there is none, or no such user's home."""
+        try:
+            return None if self.run is None else Path(self.run).expanduser()
+        except RuntimeError:
+            return None
+
 
 class Config(Options):
     """All options of a training run; `configs/train.yaml` says what each of them means.
@@ -139,6 +147,7 @@ class Config(Options):
     learning_rate_decay: Interval | None = None
     environment: Any
     runtime: RuntimeOptions
+    loggers: dict[str, Any] = Field(default={})
     collector: CollectorOptions
     evaluation: EvaluationOptions
     schedule: ScheduleOptions
@@ -274,7 +283,8 @@ class Config(Options):
 def schema() -> type[Config]:
     """`Config` with the families and the choices of all groups that are registered now."""
     import zipf.agents
-    import zipf.experiments.hooks  # noqa: F401  (these two register their choices)
+    import zipf.experiments.hooks
+    import zipf.experiments.loggers  # noqa: F401  (these three register their choices)
 
     families = [family for family in envs.families().values() if family.splits]
     groups = registries()
@@ -282,7 +292,9 @@ def schema() -> type[Config]:
     known = tuple(map(id, (*families, *classes)))
     if known not in _schemas:
         environments = [_environment_options(family) for family in families]
-        types: dict[str, Any] = {name: (group.union(), ...) for name, group in groups.items()}
+        types: dict[str, Any] = {
+            name: (group.union(), {} if group.several else ...) for name, group in groups.items()
+        }
         any_environment: Any = Annotated[reduce(or_, environments), Field(discriminator="split")]
         types["environment"] = (any_environment, ...)
         _schemas[known] = create_model("Config", __base__=Config, **types)

@@ -2,32 +2,50 @@
 
 from __future__ import annotations
 
+import re
 import secrets
-from collections.abc import Callable
-from contextlib import ExitStack
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from zipf import envs
 from zipf.envs.keyboard import Keys
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.building.seeds import derive_seed
-from zipf.experiments.evaluation.agent_policy import AgentPolicy
-from zipf.experiments.evaluation.evaluator import Policy
 from zipf.experiments.evaluation.scripted import ScriptedPolicy
-from zipf.experiments.evaluation.trained import Trained, load_agent
 from zipf.experiments.options import composing
 from zipf.experiments.options.schema import PositiveInt, Seed, module_names
-from zipf.experiments.playing.recording import Recording, check_recording, usual_fps
-from zipf.experiments.playing.screens import open_screen
-from zipf.experiments.playing.sessions import PlayedLevel, Session, Shows, has_image
+from zipf.experiments.playing.recording import STILL, Recording, check_recording
+from zipf.experiments.playing.screens import Text, open_screen
+from zipf.experiments.playing.sessions import (
+    PlayedLevel,
+    Session,
+    Shows,
+    has_image,
+    situation_of,
+)
 from zipf.options import Options
+from zipf.output import is_quiet
+
+if TYPE_CHECKING:
+    from zipf.experiments.evaluation.evaluator import Policy
+    from zipf.experiments.evaluation.trained import TrainedAgent
+
+
+def _size(value: object) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", str(value))
+    size = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not all(64 <= side <= 4096 for side in size):
+        raise ValueError("should be <width>x<height> such as 1280x960, each 64 to 4096 pixels")
+    return size
 
 
 class PlayOptions(Options):
@@ -41,9 +59,14 @@ class PlayOptions(Options):
     plugins: str = ""
     seed: Seed | None = None
     fps: Annotated[int, Field(ge=1, le=120)] | None = None
-    scale: Annotated[int, Field(ge=1, le=16)] | None = None
+    size: Annotated[tuple[int, int], BeforeValidator(_size)] = (640, 480)
     view: Literal["world", "agent"] | None = None
     screen: Literal["auto", "window", "terminal"] = "auto"
+
+    @property
+    def still(self) -> bool:
+        """Whether one picture is recorded, in which nobody acts."""
+        return self.record is not None and Path(self.record).suffix.lower() == STILL
 
 
 def play(options: PlayOptions, say: Callable[[str], None]) -> None:
@@ -51,36 +74,49 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
     and file, while no screen is open. Raises UserError: options that contradict each other, or that
     this machine cannot fulfil."""
     policy = _who_plays(options)
-    if options.record:  # making the envs may take a minute
-        check_recording(Path(options.record), options.fps or 0)
+    # Making the envs may take a minute: what can be refused before is.
+    if options.record:
+        check_recording(Path(options.record))
+    names = module_names(options.plugins)
+    composing.load_plugins(names)
+    trained = _load(options.run, names) if options.run else None
+    keys = _keys(options, trained, policy)
+    screen = None
+    if policy == "keyboard" or not options.record:
+        screen = open_screen(options.screen)
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
-    levels = _played_levels(options, policy, seed)
+    levels = _played_levels(options, trained, policy, keys, seed)
     say(f"{', '.join(one.level for one in levels)}, seed {seed}")
+    if options.still:
+        with closing(levels[0].env):
+            _draw_still(options, levels[0], seed, say)
+        return
     for one in levels:
         # The first reset may compile for a minute: do so before a screen is open.
         one.env.reset(seed=seed)
-        one.env.render()
-    fps = options.fps or usual_fps(levels[0].env)
+        one.env.pictures(*options.size)
+    fps = options.fps or levels[0].env.metadata["render_fps"]
     with ExitStack() as stack:
         for one in levels:
             stack.callback(one.env.close)
         lines: list[str] = []
-        screen = recording = None
-        if policy == "keyboard" or not options.record:
+        recording = None
+        watch: Callable[[int, int], None] = _unwatched
+        say_episode = say
+        if screen:
             stack.callback(_say_all, lines, say)
-            screen = open_screen(options.screen)
             say_episode = lines.append
-        else:
-            say_episode = say
         if options.record:
             recording = Recording(Path(options.record), fps)
             stack.callback(_say_written, recording, say_episode)
             stack.enter_context(recording)
         if screen:
             stack.enter_context(screen)
-        shows = Shows(levels[0].env, screen, recording, options.view, options.scale)
         episodes = options.episodes or (1 if screen is None else None)
-        Session(levels, shows, fps, seed, say_episode).play(episodes)
+        if screen is None and recording:
+            watch = stack.enter_context(_progress(recording, levels, episodes or 1))
+        shows = Shows(levels[0].env, screen, recording, options.view, options.size)
+        Session(levels, shows, fps, seed, say_episode, watch, episodes).play()
 
 
 def _who_plays(options: PlayOptions) -> str:
@@ -89,10 +125,17 @@ def _who_plays(options: PlayOptions) -> str:
     problems = []
     if not options.level and not options.run:
         problems.append("level is not set: choose level=<a level's name> or run=<a run's folder>")
+    if options.still:
+        problems += [
+            f"{name}={getattr(options, name)}: does not go with record={options.record}, "
+            "the first frame of an episode; a .gif or .mp4 is a film"
+            for name in ("policy", "episodes", "fps")
+            if name in options.model_fields_set
+        ]
     policy = options.policy
     if policy is None:
-        policy = "agent" if options.run else "keyboard"
-        if options.record and not options.run:
+        policy = "agent" if options.run else "random" if options.still else "keyboard"
+        if options.record and not options.run and not options.still:
             problems.append(
                 "policy is not set: for a recording choose policy=random, "
                 f"{', '.join(envs.SCRIPTED)} or keyboard, or run=<a run's folder> for its agent"
@@ -109,28 +152,51 @@ def _who_plays(options: PlayOptions) -> str:
     return policy
 
 
-def _played_levels(options: PlayOptions, policy: str, seed: int) -> list[PlayedLevel]:
-    """An env of each level; they are played in turn."""
-    names = module_names(options.plugins)
-    composing.load_plugins(names)
-    trained = load_agent(Path(options.run), "cpu", names) if options.run else None
+def _keys(options: PlayOptions, trained: TrainedAgent | None, policy: str) -> dict[str, Keys]:
+    """The levels, which are played in turn, and what the keys of each do.
+    Raises UserError: there is no such level, or nobody can play it so."""
+    levels = [str(options.level)]
+    if trained is not None and options.level in (None, *envs.KINDS):
+        split = envs.split(trained.config.environment.split)
+        levels = [level.name for level in split.levels(options.level or "train")]
+    if trained and policy == "agent" and trained.agent.answers_questions:
+        raise UserError(f"run={options.run}: a classifier answers questions and does not act")
+    found = {}
+    for level in levels:
+        try:
+            keys = envs.keys(level)
+        except ValueError as error:
+            raise UserError(str(error)) from None
+        if policy == "keyboard" and keys is None:
+            raise UserError(f"policy=keyboard: there are no keys for {level}")
+        found[level] = keys or Keys(())
+    return found
+
+
+def _played_levels(
+    options: PlayOptions,
+    trained: TrainedAgent | None,
+    policy: str,
+    keys: dict[str, Keys],
+    seed: int,
+) -> list[PlayedLevel]:
+    """An env of each level."""
     level_options = trained.config.level_options if trained else {}
     agent = None
+    who = f"policy {policy}"
     if trained and policy == "agent":
-        if trained.agent.answers_questions:
-            raise UserError(f"run={options.run}: a classifier answers questions and does not act")
+        from zipf.experiments.evaluation.agent_policy import AgentPolicy
+
         actions = derive_seed(seed, "actions")
         agent = AgentPolicy(trained.agent, seed=actions, device=trained.config.torch_device)
+        who = f"agent {trained.config.row.title}, seed {trained.config.seed}"
     levels = []
-    for level in _levels(options, trained):
+    for level in keys:
         env = _make(level, level_options)
         if trained and policy == "agent":
             _check_spaces(level, env, trained)
         if options.view == "agent" and not has_image(env):
             raise UserError("view=agent: these observations have no image; use view=world")
-        keys = envs.keys(level)
-        if policy == "keyboard" and keys is None:
-            raise UserError(f"policy=keyboard: there are no keys for {level}")
         chosen: Policy | None = None
         if policy == "agent":
             chosen = agent
@@ -142,15 +208,52 @@ def _played_levels(options: PlayOptions, policy: str, seed: int) -> list[PlayedL
                 chosen.enter(level, env)
             except ValueError as error:
                 raise UserError(f"{error}; policy=random plays all levels") from None
-        levels.append(PlayedLevel(level, env, keys or Keys(()), chosen))
+        title = level if options.still else f"{level}   {who}"
+        levels.append(PlayedLevel(level, title, env, keys[level], chosen))
     return levels
 
 
-def _levels(options: PlayOptions, trained: Trained | None) -> list[str]:
-    if trained is None or options.level not in (None, *envs.KINDS):
-        return [str(options.level)]
-    split = envs.split(trained.config.environment.split)
-    return [level.name for level in split.levels(options.level or "train")]
+def _draw_still(
+    options: PlayOptions, one: PlayedLevel, seed: int, say: Callable[[str], None]
+) -> None:
+    observation, info = one.env.reset(seed=seed)
+    recording = Recording(Path(str(options.record)), 1)
+    shows = Shows(one.env, None, recording, options.view, options.size)
+    with recording:
+        text = Text((one.title, situation_of(one.env, info)), ())
+        shows.step(one.env, observation, text, due=True)
+    _say_written(recording, say)
+
+
+@contextmanager
+def _progress(
+    recording: Recording, levels: list[PlayedLevel], episodes: int
+) -> Iterator[Callable[[int, int], None]]:
+    """A bar on a terminal, of the steps that there are at most."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    limits = [one.env.time_limit for one in levels]
+    longest = None if None in limits else max(limit or 0 for limit in limits)
+    shown = sys.stdout.isatty() and not is_quiet()
+    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+    with Progress(*columns, transient=True, disable=not shown) as bar:
+        task = bar.add_task("recording", total=longest and longest * episodes)
+
+        def watch(episode: int, step: int) -> None:
+            said = f"episode {episode} of {episodes}, step {step}, {recording.bytes / 1e6:.1f} MB"
+            done = None if longest is None else longest * (episode - 1) + step
+            bar.update(task, completed=done, description=said)
+
+        yield watch
+
+
+def _unwatched(episode: int, step: int) -> None: ...
+
+
+def _load(folder: str, plugins: list[str]) -> TrainedAgent:
+    from zipf.experiments.evaluation.trained import load_agent  # takes seconds to import
+
+    return load_agent(Path(folder), "cpu", plugins)
 
 
 def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
@@ -167,7 +270,7 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
         raise UserError(str(error)) from None
 
 
-def _check_spaces(level: str, env: ZipfVectorEnv, trained: Trained) -> None:
+def _check_spaces(level: str, env: ZipfVectorEnv, trained: TrainedAgent) -> None:
     # All levels of a split have the same spaces.
     known = trained.config.split.uniform[0]
     learned = envs.make_vec(known, 1, **trained.config.level_options)
@@ -200,4 +303,6 @@ def _say_all(lines: list[str], say: Callable[[str], None]) -> None:
 def _say_written(recording: Recording, say: Callable[[str], None]) -> None:
     width, height = recording.size
     if recording.written:
-        say(f"written: {recording.path} ({recording.frames} frames, {width} x {height})")
+        frames = f"{recording.frames} frame{'' if recording.frames == 1 else 's'}"
+        size = recording.path.stat().st_size / 1e6
+        say(f"written: {recording.path} ({frames}, {width} x {height}, {size:.2g} MB)")

@@ -7,33 +7,30 @@ import os
 import re
 import select
 import sys
-import termios
 import textwrap
 import time
-import tty
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from zipf.envs.keyboard import LEAVE
+from zipf.envs.pictures import fit
 from zipf.envs.window import open_display
 from zipf.errors import UserError
-from zipf.experiments.reporting.any_matplotlib import matplotlib
+from zipf.experiments.playing.captions import BACKGROUND, BRIGHT, DIM, FONT
 
 
 @dataclass(frozen=True)
 class Text:
     """The text below the picture."""
 
-    # the most important first; always the same number, so that the layout is stable
-    lines: tuple[str, ...]
+    lines: tuple[str, ...]  # always the same number, so that the layout is stable
     keys: tuple[str, ...]  # what the keys do, a few words each
+    success: bool | None = None  # how the episode has ended; None: it goes on, or neither
 
     def wrapped(self, columns: int) -> tuple[list[str], list[str]]:
         """Lines and keys, wrapped to at most this number of columns."""
@@ -87,12 +84,14 @@ class Terminal:
     """The terminal: two pixels per character, upper and lower half, in 24-bit colour.
 
     Ctrl-C interrupts as usual. Ctrl-Z does nothing.
-    Raises UserError: standard input or output is not a terminal.
+    Raises UserError: standard input or output is not a terminal, or on Windows.
     """
 
     in_characters = True
 
     def __init__(self) -> None:
+        if sys.platform == "win32":
+            raise UserError("screen=terminal: needs Linux or macOS; choose screen=window")
         if not _is_terminal():
             raise UserError(
                 "screen=terminal: standard input and output are not a terminal; "
@@ -105,6 +104,9 @@ class Terminal:
         self._shown: tuple[NDArray[np.uint8], Text] | None = None
 
     def __enter__(self) -> Terminal:
+        import termios  # here: Windows has none
+        import tty
+
         self._before = termios.tcgetattr(self._input)
         tty.setcbreak(self._input)
         attributes = termios.tcgetattr(self._input)
@@ -114,6 +116,8 @@ class Terminal:
         return self
 
     def __exit__(self, *_: object) -> None:
+        import termios
+
         try:
             self._write("\x1b[0m\x1b[?25h\x1b[?1049l")
             termios.tcsetattr(self._input, termios.TCSAFLUSH, self._before)
@@ -202,20 +206,6 @@ def key_names(typed: str) -> Iterator[str]:
             yield name
 
 
-def fit(picture: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
-    """The picture scaled to fit, in proportion; enlarged by whole factors only."""
-    factor = min(width / picture.shape[1], height / picture.shape[0])
-    if factor >= 1:
-        return enlarge(picture, int(factor))
-    size = (max(round(picture.shape[i] * factor), 1) for i in (1, 0))
-    return np.asarray(Image.fromarray(picture).resize(tuple(size), Image.Resampling.BOX))
-
-
-def enlarge(picture: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
-    """Each pixel as a square of `factor` x `factor`."""
-    return picture.repeat(factor, axis=0).repeat(factor, axis=1)
-
-
 def half_blocks(picture: NDArray[np.uint8]) -> list[str]:
     """The picture as lines of characters, one for every two rows of pixels."""
     if len(picture) % 2:
@@ -254,7 +244,7 @@ class Window:
         self._pygame.font.init()
         self._pygame.display.set_caption("zipf")
         self._pygame.key.set_repeat(300, 70)  # milliseconds
-        self._font = self._pygame.font.Font(_FONT, _FONT_SIZE)
+        self._font = self._pygame.font.Font(FONT, _FONT_SIZE)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -266,13 +256,13 @@ class Window:
         wide = max(width, _NARROWEST)
         columns = (wide - 2 * _MARGIN) // self._font.size("n")[0]
         lines, keys = text.wrapped(columns)
-        colours = [_BRIGHT] * len(lines) + [_DIM] * len(keys)
+        colours = [BRIGHT] * len(lines) + [DIM] * len(keys)
         step = self._font.get_linesize()
         size = (wide, height + step * len(colours) + 2 * _MARGIN)
         if size != self._size:
             self._size = size
             self._surface = self._pygame.display.set_mode(size)
-        self._surface.fill(_BACKGROUND)
+        self._surface.fill(BACKGROUND)
         surface = self._pygame.surfarray.make_surface(picture.swapaxes(0, 1))
         self._surface.blit(surface, ((wide - width) // 2, 0))
         for i, (line, colour) in enumerate(zip(lines + keys, colours, strict=True)):
@@ -298,12 +288,9 @@ class Window:
         return None
 
 
-# The default font of pygame lacks arrows.
-_FONT = Path(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
 _FONT_SIZE = 14
 _MARGIN = 10  # pixels
 _NARROWEST = 480  # pixels, of a window
-_BACKGROUND, _BRIGHT, _DIM = (24, 26, 32), (235, 235, 235), (150, 155, 165)
 _CONSTANTS = {
     **{"UP": "up", "DOWN": "down", "LEFT": "left", "RIGHT": "right"},
     **{"HOME": "home", "END": "end", "PAGEUP": "pageup", "PAGEDOWN": "pagedown"},

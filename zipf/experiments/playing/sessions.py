@@ -5,21 +5,26 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import ceil
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from zipf.envs.keyboard import LEAVE, NEXT, Keys
+from zipf.envs.pictures import fit
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.experiments.evaluation.evaluator import Policy
+from zipf.experiments.playing.captions import captioned
 from zipf.experiments.playing.recording import Recording
-from zipf.experiments.playing.screens import Screen, Text, enlarge
+from zipf.experiments.playing.screens import Screen, Text
+
+if TYPE_CHECKING:
+    from zipf.experiments.evaluation.evaluator import Policy
 
 _PAUSE = 1.0  # seconds on the last frame of an episode
-_LOW = 288  # pixels; pictures of a smaller height are enlarged
+_MEGABYTE = 10**6
+_TOO_LARGE = 10 * _MEGABYTE  # ours: more than mails and comments on the web take
+_SAMPLE = 2 * _MEGABYTE  # ours: of a file from which the size of the whole is estimated
 
 
 @dataclass(frozen=True)
@@ -27,15 +32,16 @@ class PlayedLevel:
     """One env of a level, and who plays it."""
 
     level: str
+    title: str  # of the level and of who plays it
     env: ZipfVectorEnv
     keys: Keys
     policy: Policy | None  # None: a person at the keyboard
 
 
 class Shows:
-    """Draws the picture and passes it to the screen and the recording, if there are any. `env` is
-    one that will be shown. With `view` None both show the env, or in a terminal what the agent
-    sees; with `scale` None, the factor of the picture's sides, it is chosen by its height."""
+    """Draws pictures, as large as fits into `size` (width, height), and passes them to the screen
+    and the recording, if there are any. `env` is one that will be shown. With `view` None both show
+    the env, or in a terminal what the agent sees."""
 
     def __init__(
         self,
@@ -43,43 +49,44 @@ class Shows:
         screen: Screen | None,
         recording: Recording | None,
         view: Literal["world", "agent"] | None,
-        scale: int | None,
+        size: tuple[int, int],
     ) -> None:
         self.screen = screen
         self.recording = recording
-        self.scale = scale
+        self.size = size
         # A terminal has too few characters for a picture of the whole env.
         coarse = screen is not None and screen.in_characters
         self.on_screen = view or ("agent" if coarse and has_image(env) else "world")
         self.recorded = view or "world"
 
-    def step(self, env: ZipfVectorEnv, observation: dict[str, NDArray], text: Text) -> None:
-        """Shows and records the current state of the env."""
+    def step(
+        self, env: ZipfVectorEnv, observation: dict[str, NDArray], text: Text, *, due: bool
+    ) -> None:
+        """Shows the current state of the env and records it, where the recording leaves out frames
+        only if it is `due` in any case."""
         if self.recording:
-            self.recording.add(self._enlarged(self._picture(self.recorded, env, observation)))
+            frame = None
+            if due or self.recording.due:
+                picture = self._picture(self.recorded, env, observation)
+                frame = captioned(picture, text.lines, text.success)
+            self.recording.add(frame)
         self.again(env, observation, text)
 
     def again(self, env: ZipfVectorEnv, observation: dict[str, NDArray], text: Text) -> None:
         """Shows the current state again, with another text."""
         if self.screen:
-            picture = self._picture(self.on_screen, env, observation)
-            if not self.screen.in_characters:  # a terminal scales the picture itself
-                picture = self._enlarged(picture)
+            if self.screen.in_characters and self.on_screen == "agent":
+                picture = observation["image"][0]  # which the terminal scales
+            else:
+                picture = self._picture(self.on_screen, env, observation)
             self.screen.show(picture, text)
 
     def _picture(
         self, view: str, env: ZipfVectorEnv, observation: dict[str, NDArray]
     ) -> NDArray[np.uint8]:
-        if view == "agent":
-            picture = observation["image"][0]
-        else:
-            frames = env.render()
-            assert frames is not None
-            picture = frames[0]
-        return picture
-
-    def _enlarged(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        return enlarge(picture, self.scale or ceil(_LOW / len(picture)))
+        if view == "world":
+            return env.pictures(*self.size)[0]
+        return fit(observation["image"][0], *self.size)
 
 
 def has_image(env: ZipfVectorEnv) -> bool:
@@ -101,23 +108,47 @@ class Session:
     fps: float
     seed: int
     say: Callable[[str], None]
+    watch: Callable[[int, int], None]  # is told of every step: the episode, from 1, and its step
+    episodes: int | None  # how many to play; None: until the person leaves
     toggled: int = 0
+    said_size: bool = False
 
-    def play(self, episodes: int | None) -> None:
-        """Plays this number of episodes; None: until the person leaves."""
+    def play(self) -> None:
+        """Plays the episodes."""
         several = len(self.levels) > 1
         for one in self.levels:
             if one.policy:
                 one.policy.start(1)
         number = 0
         try:
-            while episodes is None or number < episodes:
+            while self.episodes is None or number < self.episodes:
                 turn, number = number, number + 1
                 one = self.levels[turn % len(self.levels)]
                 seed = self.seed if turn < len(self.levels) else None
                 _Episode(self, one, number, several).play(seed)
         except _Leave:
             pass
+
+    def stepped(self, number: int, step: int) -> None:
+        """A step of an episode has been shown and recorded: says how large a file will be that will
+        be too large for most purposes, as soon as there is enough of it to know."""
+        self.watch(number, step)
+        recording = self.shows.recording
+        if recording is None or self.said_size or recording.bytes < _SAMPLE:
+            return
+        limits = [one.env.time_limit for one in self.levels]
+        steps = recording.frames
+        if self.episodes and None not in limits:
+            steps = self.episodes * max(one or 0 for one in limits)
+        size = recording.bytes * max(steps / recording.frames, 1)
+        if size > _TOO_LARGE:
+            self.said_size = True
+            smaller = "" if recording.path.suffix.lower() == ".mp4" else "an .mp4, "
+            self.say(
+                f"{recording.path.name} will have up to {size / _MEGABYTE:.0f} MB, at "
+                f"{recording.bytes / recording.frames / 1000:.0f} kB a step and as many steps as "
+                f"there may be; {smaller}a smaller size= or fewer episodes= take less"
+            )
 
 
 class _Episode:
@@ -126,10 +157,12 @@ class _Episode:
         self.one = one
         self.env = one.env
         self.shows = session.shows
+        self.number = number
         self.name = f"episode {number}" + (f", {one.level}" if names_level else "")
         self.steps = 0
         self.total = 0.0
         self.outcome = ""
+        self.success: bool | None = None
 
     def play(self, seed: int | None) -> None:
         """Plays the episode to its end, or until the person skips to the next one.
@@ -137,7 +170,7 @@ class _Episode:
         self.observation, self.info = self.env.reset(seed=seed)
         self.reward, self.is_first = np.zeros(1, np.float32), np.ones(1, np.bool_)
         self.due = time.monotonic()
-        self.shows.step(self.env, self.observation, self._text())
+        self._show(due=True)
         try:
             while not self.outcome:
                 action = self._keyboard() if self.one.policy is None else self._scripted()
@@ -145,7 +178,7 @@ class _Episode:
                     return
                 self._step(action)
         finally:
-            about = ", ".join(filter(None, [*self._words(), self._situation()]))
+            about = situation_of(self.env, self.info, joint=", ")
             outcome = self.outcome or f"left after {_steps(self.steps)}"
             self.session.say(": ".join(filter(None, [self.name, about, outcome])))
         self._rest()
@@ -160,12 +193,16 @@ class _Episode:
         if terminated[0] or truncated[0]:
             total, length = (self.info[name][0].item() for name in ("return", "length"))
             ending = "out of time" if truncated[0] else "over"
-            if self.env.reports_success and self.info["success"][0]:
-                ending = "success"
-            elif self.env.reports_success and not truncated[0]:
-                ending = "failure"
+            if self.env.reports_success:
+                self.success = bool(self.info["success"][0])
+                if self.success or not truncated[0]:
+                    ending = "success" if self.success else "failure"
             self.outcome = f"{ending}, return {total:g}, {_steps(length)}"
-        self.shows.step(self.env, self.observation, self._text())
+        self._show(due=bool(self.outcome))
+
+    def _show(self, *, due: bool) -> None:
+        self.shows.step(self.env, self.observation, self._text(), due=due)
+        self.session.stepped(self.number, self.steps)
 
     def _keyboard(self) -> int | None:
         """The person's action; None for the next episode."""
@@ -215,24 +252,14 @@ class _Episode:
             raise _Leave
         return key
 
-    def _situation(self) -> str:
-        return ", ".join(f"{name} {self.info[name][0]}" for name in self.env.situation)
-
-    def _words(self) -> list[str]:
-        """The instruction, in levels that give one."""
-        text = str(self.info["instruction"][0]) if "instruction" in self.info else ""
-        return [text] if text else []
-
-    def _goal(self) -> list[str]:
-        """What a person is to do, in families that say it."""
-        goal = self.one.keys.goal
-        return [goal] if goal and self.one.policy is None else []
-
     def _text(self) -> Text:
         keys = self.one.keys
         progress = f"{self.name}   step {self.steps}   return {self.total:g}"
+        if self.outcome:
+            progress = f"{self.name}: {self.outcome}"
         help = []
-        if self.one.policy is None:
+        by_hand = self.one.policy is None
+        if by_hand:
             for i, toggle in enumerate(keys.toggles):
                 state = "on" if self.session.toggled >> i & 1 else "off"
                 progress += f"   {toggle.label} {state}"
@@ -240,9 +267,20 @@ class _Episode:
                 help.append(f"{_shown(binding.keys)}: {binding.label}")
             help += [f"{_shown((toggle.key,))}: {toggle.label}" for toggle in keys.toggles]
         help += [f"{NEXT}: next episode", f"{LEAVE}: leave"]
-        ranks = self._situation()
-        situation = self.one.level + (f"   ranks: {ranks}" if ranks else "")
-        return Text((*self._words(), *self._goal(), situation, progress, self.outcome), tuple(help))
+        goal = [keys.goal] if keys.goal and by_hand else []  # what a person is to do
+        about = situation_of(self.env, self.info)
+        return Text((*goal, self.one.title, about, progress), tuple(help), self.success)
+
+
+def situation_of(env: ZipfVectorEnv, info: dict[str, Any], joint: str = "   ") -> str:
+    """What the episode of a single env is about: the instruction, the level, where one is drawn,
+    and the ranks; each where there are any."""
+    drawn = env.level_of_envs
+    names = ["instruction", *([drawn] if isinstance(drawn, str) else [])]
+    words = [str(info[name][0]) for name in names if name in info]
+    ranks = ", ".join(f"{name} {info[name][0]}" for name in env.situation)
+    ranks = f"ranks: {ranks}" if ranks else ""
+    return joint.join(filter(None, [*words, ranks]))
 
 
 def _steps(number: int) -> str:

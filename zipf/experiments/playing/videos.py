@@ -19,14 +19,14 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from zipf import envs
+from zipf.envs.pictures import enlarge
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
 from zipf.experiments.building.run_folder import agent_file
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
-from zipf.experiments.evaluation.trained import Trained, load_agent
-from zipf.experiments.playing.recording import Recording, usual_fps
-from zipf.experiments.playing.screens import enlarge
+from zipf.experiments.evaluation.trained import TrainedAgent, load_agent
+from zipf.experiments.playing.recording import Recording
 from zipf.experiments.records import video_files
 from zipf.experiments.records.replacing import replace_text
 from zipf.experiments.records.results import load_runs
@@ -37,6 +37,7 @@ EPISODES = 200  # tried in a situation
 AT_A_TIME = 50  # envs that play them; as many draws find every value of a rank, ten times over
 MOST_FRAMES = 150  # in a file; of longer episodes every so many-th frame is shown
 HEIGHT = 192  # pixels; pictures of a smaller height are enlarged
+MOST_FPS = 50  # browsers show a GIF's frames of less than 1/50 s five times slower than meant
 PAUSE = 1.0  # seconds on the last frame
 
 Extreme = Callable[[NDArray[np.int64]], int]
@@ -98,7 +99,26 @@ def record_videos(
         say(f"Wrote {(folder / video_files.FOLDER).as_posix()} (successes: {counts})")
 
 
-def record_run(folder: Path, trained: Trained, format: VideoFormat) -> video_files.Videos:
+def film(folder: Path, plugins: Sequence[str]) -> Path | None:
+    """Records a failure of a run's agent in the rarest situation to `failure.gif` in its folder
+    `videos`; returns None where the agent has not failed in `EPISODES` episodes.
+    Raises UserError: as `record_videos`."""
+    trained = load_agent(folder, "cpu", plugins)
+    _playable(folder, trained)
+    name, _, extreme = SITUATIONS[1]
+    situation = find_situation(trained, extreme)
+    failures = [one for one in play(trained, situation, name)[0] if not one.success]
+    path = folder / video_files.FOLDER / "failure.gif"
+    try:
+        path.parent.mkdir(exist_ok=True)
+        for failure in failures:
+            _record(trained, situation, failure, path)
+    except OSError as error:
+        raise UserError(f"{path.as_posix()}: cannot be written: {error.strerror}") from None
+    return path if failures else None
+
+
+def record_run(folder: Path, trained: TrainedAgent, format: VideoFormat) -> video_files.Videos:
     """Records the videos of a run in the place of those that it may have.
     Raises UserError: the envs do not play the same actions alike, or a file cannot be written."""
     target = folder / video_files.FOLDER
@@ -132,7 +152,7 @@ def record_run(folder: Path, trained: Trained, format: VideoFormat) -> video_fil
     return made
 
 
-def find_situation(trained: Trained, extreme: Extreme) -> Situation:
+def find_situation(trained: TrainedAgent, extreme: Extreme) -> Situation:
     """The most frequent situation of the uniform levels, or the rarest.
 
     The first rank takes its extreme value, then the next rank its own among situations with that
@@ -153,7 +173,7 @@ def find_situation(trained: Trained, extreme: Extreme) -> Situation:
     return next(one for one in found if next(iter(one.ranks.values())) == best)
 
 
-def play(trained: Trained, situation: Situation, name: str) -> tuple[list[Episode], int, int]:
+def play(trained: TrainedAgent, situation: Situation, name: str) -> tuple[list[Episode], int, int]:
     """Plays a situation until it has had both outcomes, `EPISODES` at most; the agent's draws are
     seeded from `name`.
 
@@ -202,14 +222,14 @@ def _batch(
     yield from (ended[i] for i in range(env.num_envs))
 
 
-def _record(trained: Trained, situation: Situation, episode: Episode, path: Path) -> Video:
+def _record(trained: TrainedAgent, situation: Situation, episode: Episode, path: Path) -> Video:
     length = len(episode.actions)
     every = ceil((length + 1) / MOST_FRAMES)
     drawn = {"autoreset_mode": AutoresetMode.DISABLED, "render_mode": "rgb_array"}
     with closing(_envs(trained, situation.level, 1, **drawn)) as env:
         env.reset(seed=episode.seed, options=situation.ranks)
         info: dict[str, Any] = {}
-        with Recording(path, usual_fps(env)) as recording:
+        with Recording(path, min(env.metadata["render_fps"], MOST_FPS)) as recording:
             recording.add(_picture(env))
             for step, action in enumerate(episode.actions, 1):
                 _, _, terminated, truncated, info = env.step(np.array([action]))
@@ -237,7 +257,7 @@ def _picture(env: ZipfVectorEnv) -> NDArray[np.uint8]:
     return enlarge(picture, ceil(HEIGHT / len(picture)))
 
 
-def _playable(folder: Path, trained: Trained) -> None:
+def _playable(folder: Path, trained: TrainedAgent) -> None:
     if trained.agent.answers_questions:
         raise UserError(
             f"videos: {folder.as_posix()} is of a classifier, which answers questions and does "
@@ -255,7 +275,9 @@ def _playable(folder: Path, trained: Trained) -> None:
                 )
 
 
-def _envs(trained: Trained, level: envs.SplitLevel, count: int, **kwargs: Any) -> ZipfVectorEnv:
+def _envs(
+    trained: TrainedAgent, level: envs.SplitLevel, count: int, **kwargs: Any
+) -> ZipfVectorEnv:
     options = {**trained.config.level_options, **kwargs}
     return envs.make_scored(trained.config.split, level, count, **options)
 

@@ -9,7 +9,7 @@ from typing import Any
 NOT_LEARNED = frozenset({
     "condition", "row", "plugins", "updates", "run_root", "device", "compile", "capture",
     "deterministic", "threads", "processes", "resume", "collector.envs", "evaluation", "schedule",
-    "runtime.address",
+    "runtime.address", "loggers",
 })  # fmt: skip
 
 

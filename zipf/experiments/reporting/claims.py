@@ -140,7 +140,7 @@ CLAIMS = (
         REPLAY,
         on(
             f"{LIFTING} {PUTTING}",
-            change(t["r2d2,*priority_exponent=[1-9]*", "rare"], t["r2d2", "rare"]).between(
+            change(t["r2d2[,-]*priority_exponent[=_][1-9]*", "rare"], t["r2d2", "rare"]).between(
                 -0.1, 0.1
             ),
         ),

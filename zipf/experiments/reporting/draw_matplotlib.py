@@ -103,12 +103,30 @@ def draw(
     The same tables give the same bytes."""
     files: dict[str, list[Path]] = {}
     with style():
-        for one in statistics:
-            for chart in charts(one, looks):
-                path = folder / f"{one.table.name}_{chart.kind}.{format}"
-                picture(chart).savefig(path, format=format, metadata=UNDATED[format])
-                files.setdefault(one.table.name, []).append(path)
+        for table, kind, figure in figures(statistics, looks):
+            path = folder / f"{table}_{kind}.{format}"
+            figure.savefig(path, format=format, metadata=UNDATED[format])
+            files.setdefault(table, []).append(path)
     return files
+
+
+def figures(
+    statistics: Sequence[SeedStatistics], looks: Looks
+) -> Iterator[tuple[str, str, Figure]]:
+    """Every figure that tables have data for, after the table's name and the figure's kind."""
+    for one in statistics:
+        for chart in charts(one, looks):
+            yield one.table.name, chart.kind, picture(chart)
+
+
+class ShownFigure(Figure):
+    """A figure that a notebook shows, though it is none of pyplot's."""
+
+    def _repr_png_(self) -> bytes:
+        content = io.BytesIO()
+        with style():
+            self.savefig(content, format="png", dpi=90)
+        return content.getvalue()
 
 
 def picture(chart: Chart | HeatMaps, *, on_page: bool = False) -> Figure:
@@ -121,7 +139,7 @@ def picture(chart: Chart | HeatMaps, *, on_page: bool = False) -> Figure:
     room = LABEL_LETTER * max(letters, default=0) + (0.3 if letters else 0)
     width = chart.width or 0.6 + (2.6 + room) * len(chart.panels)
     height = max(chart.height, 1.0 + LABEL_LINE * lines)
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = ShownFigure(figsize=(width, height), layout="constrained")
     if not on_page:
         _add_legend(figure, chart)
         _set_title(figure, f"{chart.table}: {chart.subject}")
@@ -285,7 +303,7 @@ def _heat_maps(chart: HeatMaps, on_page: bool) -> Figure:
         for first in range(0, len(titles), across)
     )
     height = 0.7 + (size + 0.15) * down + TITLE_LINE * title_lines
-    figure = Figure(figsize=(1.3 + size * across, height), layout="constrained")
+    figure = ShownFigure(figsize=(1.3 + size * across, height), layout="constrained")
     panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     low, high = chart.limits
     image: Any = None

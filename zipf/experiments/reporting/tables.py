@@ -150,16 +150,20 @@ def _is_reached(runs: Sequence[Run], window: Window) -> bool:
     return not ours or any(len(evaluations_inside(run, window)) for run in ours)
 
 
-def csv_report(tables: Sequence[ScoreTable]) -> str:
-    """`report.csv`: one line per row and level kind, at full precision, empty for none.
+def report_frame(tables: Sequence[ScoreTable]) -> pd.DataFrame:
+    """The columns of `report.csv`: one line per row and level kind, NaN for none.
 
     Where a kind has several levels, lines for each level and for the paper's groups of levels
     follow those of the table.
     """
     parts = [part for table in tables for part in (table.scores, table.group_scores)]
-    return pd.concat([part for part in parts if len(part)])[list(CSV_COLUMNS)].to_csv(
-        index=False, float_format="%.10g", lineterminator="\n"
-    )
+    together = pd.concat([part for part in parts if len(part)], ignore_index=True)
+    return together[list(CSV_COLUMNS)]
+
+
+def csv_report(tables: Sequence[ScoreTable]) -> str:
+    """`report.csv`: `report_frame` at full precision, empty for none."""
+    return report_frame(tables).to_csv(index=False, float_format="%.10g", lineterminator="\n")
 
 
 def _kinds(runs: Sequence[Run]) -> Iterator[LevelGroup]:

@@ -24,9 +24,11 @@ from hydra.core.hydra_config import HydraConfig
 from zipf.experiments.records.wording import duration_text
 from zipf.experiments.training.signals import STOPPED, SWEEP_PIPE, Handler, give_back
 
-State = Literal["begun", "finished", "skipped", "failed", "stopped", "paused", "not begun"]
+State = Literal[
+    "begun", "running", "finished", "skipped", "failed", "stopped", "paused", "not begun"
+]
 POLL = 0.2  # seconds; ours
-REPORT_EVERY = 600  # seconds; ours: a job of an hour has few lines
+REPORT_EVERY = 5  # seconds; ours: a bar that moves, and few files written
 GPUS = "CUDA_VISIBLE_DEVICES"
 TRAIN = (sys.executable, "-m", "zipf.train")
 
@@ -168,7 +170,7 @@ class Jobs:
                     elif time.monotonic() - reported > REPORT_EVERY:
                         reported = time.monotonic()
                         if progress := [one for one in _lines(shown) if one.startswith("update ")]:
-                            self.board.tell(job, Outcome("begun", progress[-1]))
+                            self.board.tell(job, Outcome("running", progress[-1]))
             finally:
                 process.kill()  # where waiting for it was interrupted
                 process.wait()

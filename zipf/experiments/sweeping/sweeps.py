@@ -1,8 +1,8 @@
 """From a command line to the jobs of a sweep: lists of values, and ready-made sweeps.
 
 A ready-made sweep is in `configs/sweep.yaml`, or in a folder that a user or a plugin adds: a list
-of blocks, each with experiments, conditions, seeds and further overrides. `sweep=<name>` on the
-command line stands for its jobs.
+of blocks, each with experiments, conditions, seeds and further overrides, or with stages that begin
+with the weights of earlier ones. `sweep=<name>` on the command line stands for its jobs.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
@@ -22,7 +23,7 @@ from zipf import envs
 from zipf.errors import UserError
 from zipf.experiments.building import loading
 from zipf.experiments.options import catalogue, command_line, composing, config_files
-from zipf.experiments.options.schema import Config, Seed
+from zipf.experiments.options.schema import Config, Name, Seed
 from zipf.experiments.records.paper import conditions_of_the_paper, paper_table
 from zipf.options import Options
 
@@ -42,6 +43,27 @@ class Block(Options):
 
     experiments: str | list[str]
     conditions: str | list[str] = Field(default_factory=list)
+    seeds: Annotated[list[Seed], Field(min_length=1)]
+    overrides: list[str] = Field(default_factory=list)
+
+
+class Stage(Options):
+    """A run for each seed, whose `name` it has.
+
+    `overrides` are as on the command line; `pretrained.run=<name>` in them stands for the run of
+    the same seed of an earlier stage.
+    """
+
+    name: Name
+    experiment: str
+    condition: str = ""
+    overrides: list[str] = Field(default_factory=list)
+
+
+class Chain(Options):
+    """Stages, one after another, for every seed. `overrides` are of all stages."""
+
+    stages: Annotated[list[Stage], Field(min_length=1)]
     seeds: Annotated[list[Seed], Field(min_length=1)]
     overrides: list[str] = Field(default_factory=list)
 
@@ -80,6 +102,8 @@ def check(overrides: list[str], is_finished: Callable[[Config], bool] = lambda _
         UserError: with one line for every mistake in any of the jobs, or where two of them would
             use the same folder.
     """
+    if searches := [word for word in overrides if for_search(word)]:
+        raise UserError(f"{searches[0]}: is a sweep of many runs: add -m, without --explain")
     problems: dict[str, None] = {}
     left_out: dict[str, None] = {}
     jobs: list[PlannedJob] = []
@@ -91,7 +115,7 @@ def check(overrides: list[str], is_finished: Callable[[Config], bool] = lambda _
                 if pair and (why := _misfit(*pair)):
                     left_out[why] = None
                     continue
-                loading.check(config)
+                loading.check(config, [job.config.folder for job in jobs])
             jobs.append(PlannedJob(words, config, finished))
         except UserError as error:
             problems.update(dict.fromkeys(str(error).splitlines()))
@@ -116,11 +140,16 @@ def for_launcher(word: str) -> bool:
     return word.lstrip("+~").startswith(("hydra.launcher", "hydra/launcher"))
 
 
+def for_search(word: str) -> bool:
+    """Whether an override is about a search, and not about a job."""
+    return word.lstrip("+~").partition("=")[0].partition(".")[0] == "search"
+
+
 def of_all_jobs(overrides: list[str]) -> list[str]:
     """The overrides that all jobs of a command line have, without those that make a sweep of it."""
     parsed = command_line.parse(overrides)
     kept = (one for one in parsed if one.key_or_group != "sweep" and not one.is_sweep_override())
-    return [str(one.input_line) for one in kept]
+    return [line for one in kept if not for_search(line := str(one.input_line))]
 
 
 def expand(
@@ -136,46 +165,95 @@ def expand(
     """
     words = [word for word in overrides if not for_hydra(word)]
     parsed = command_line.parse(words)
-    names = [name for one in parsed if one.key_or_group == "sweep" for name in _values(one)]
+    names = [name for one in parsed if one.key_or_group == "sweep" for name in values_of(one)]
     if not names:
         yield from ((tuple(job), None) for job in _combinations(words))
         return
     narrowing = ("experiment", "condition")
     rest = [one for one in parsed if one.key_or_group not in ("sweep", *narrowing)]
-    pairs = [
-        (block, {"experiment": experiment, "condition": condition}, optional)
-        for name in names
-        for block in read_blocks(name)
-        for experiment in _as_list(block.experiments)
-        for condition, optional in _conditions(name, block, experiment).items()
-    ]
-    if not pairs:
+    rows = [row for name in names for block in read_blocks(name) for row in _rows(name, block)]
+    if not rows:
         raise UserError(f"sweep={','.join(names)}: has no experiments")
     for one in parsed:
         if (group := one.key_or_group) not in narrowing:
             continue
-        known = sorted({pair[group] for _, pair, _ in pairs if pair[group]})
-        for value in _values(one):
+        known = sorted({row.pair[group] for row in rows if row.pair[group]})
+        for value in values_of(one):
             if value not in known:
                 hint = (
                     command_line.nearest(value, known) if known else f"its blocks name no {group}s"
                 )
                 raise UserError(f"{group}={value}: is not in sweep={','.join(names)}; {hint}")
-        pairs = [entry for entry in pairs if entry[1][group] in _values(one)]
+        rows = [row for row in rows if row.pair[group] in values_of(one)]
     planned: dict[tuple[str, ...], tuple[str, str] | None] = {}
-    for block, pair, optional in pairs:
-        own = [f"seed={','.join(map(str, block.seeds))}", *block.overrides]
+    for row in rows:
         changed = {one.key_or_group for one in rest}
-        kept = [one for one in command_line.parse(own) if one.key_or_group not in changed]
-        chosen = [f"{group}={name}" for group, name in pair.items() if name]
+        kept = [one for one in command_line.parse(row.own) if one.key_or_group not in changed]
+        chosen = [f"{group}={name}" for group, name in row.pair.items() if name]
         lines = [*chosen, *(str(one.input_line) for one in [*kept, *rest])]
         for job in _combinations(lines):
-            left_out = (pair["experiment"], pair["condition"]) if optional else None
+            left_out = (row.pair["experiment"], row.pair["condition"]) if row.optional else None
             planned.setdefault(tuple(job), left_out)
     yield from planned.items()
 
 
-def read_blocks(name: str) -> list[Block]:
+@dataclass(frozen=True)
+class _Row:
+    """An experiment and a condition of a ready-made sweep.
+
+    Attributes:
+        pair: both, by group; an empty condition for none.
+        own: further overrides, which the command line may replace.
+        optional: whether it is left out where the condition does not fit.
+    """
+
+    pair: dict[str, str]
+    own: list[str]
+    optional: bool = False
+
+
+def _rows(sweep: str, block: Block | Chain) -> Iterator[_Row]:
+    seeds = f"seed={','.join(map(str, block.seeds))}"
+    if isinstance(block, Block):
+        for experiment in _as_list(block.experiments):
+            for condition, optional in _conditions(sweep, block.conditions, experiment).items():
+                pair = {"experiment": experiment, "condition": condition}
+                yield _Row(pair, [seeds, *block.overrides], optional)
+        return
+    begun: dict[str, str] = {}
+    for stage in block.stages:
+        _conditions(sweep, stage.condition or [], stage.experiment)  # are there
+        own = command_line.parse(stage.overrides)
+        changed = {one.key_or_group for one in own}
+        shared = [
+            str(one.input_line)
+            for one in command_line.parse(block.overrides)
+            if one.key_or_group not in changed
+        ]
+        lines = [_begins_with(sweep, stage, one, begun) for one in own]
+        if stage.name in begun:
+            raise UserError(f"sweep={sweep}: two stages have the name {stage.name}")
+        begun[stage.name] = f"${{run_root}}/{stage.experiment}/{stage.name}/seed${{seed}}"
+        pair = {"experiment": stage.experiment, "condition": stage.condition}
+        yield _Row(pair, [seeds, f"name={stage.name}", *shared, *lines])
+
+
+def _begins_with(sweep: str, stage: Stage, override: Override, begun: dict[str, str]) -> str:
+    """An override of a stage, with the folder of an earlier one in the place of its name."""
+    line = str(override.input_line)
+    if override.key_or_group != "pretrained.run" or "/" in line:
+        return line
+    name = str(override.value())
+    if name not in begun:
+        hint = command_line.nearest(name, list(begun)) if begun else "it is the first"
+        raise UserError(
+            f"sweep={sweep}: {stage.name}: {line}: is no earlier stage, nor a folder with a /; "
+            f"{hint}"
+        )
+    return f"pretrained.run={composing.quoted(begun[name])}"
+
+
+def read_blocks(name: str) -> list[Block | Chain]:
     """The blocks of a ready-made sweep.
 
     Raises:
@@ -188,21 +266,31 @@ def read_blocks(name: str) -> list[Block]:
     path, content = written.place.file, written.values
     if not isinstance(content, list) or not content:
         raise UserError(f"{path}: is no sweep: should be a list of blocks")
+    return [read_block(path, block) for block in content]
+
+
+def read_block(path: Path, block: Any) -> Block | Chain:
+    """A block of a sweep in a file; with `stages` it is a chain.
+
+    Raises:
+        UserError: it is none.
+    """
+    kind = Chain if isinstance(block, dict) and "stages" in block else Block
     try:
-        return [Block.model_validate(block) for block in content]
+        return kind.model_validate(block)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "a block"
-        accepted = ", ".join(Block.model_fields)
+        accepted = ", ".join(kind.model_fields)
         raise UserError(f"{path}: {where}: {first['msg']}; a block has {accepted}") from None
 
 
-def _conditions(sweep: str, block: Block, experiment: str) -> dict[str, bool]:
+def _conditions(sweep: str, named: str | list[str], experiment: str) -> dict[str, bool]:
     """A block's conditions in an experiment, and whether each may be left out."""
     if experiment not in (known := composing.choices("experiment")):
         hint = command_line.nearest(experiment, known)
         raise UserError(f"sweep={sweep}: no such experiment as {experiment}; {hint}")
-    words = _as_list(block.conditions)
+    words = _as_list(named)
     if not words:
         return {"": False}
     found: dict[str, bool] = {}
@@ -269,7 +357,7 @@ def _combinations(overrides: list[str]) -> Iterator[list[str]]:
     for override in command_line.parse(overrides):
         if override.is_sweep_override():
             prefix = override.get_key_element()
-            alternatives.append([f"{prefix}={value}" for value in _values(override)])
+            alternatives.append([f"{prefix}={value}" for value in values_of(override)])
         else:
             alternatives.append([str(override.input_line)])
     if math.prod(map(len, alternatives)) > MOST_JOBS:
@@ -278,7 +366,7 @@ def _combinations(overrides: list[str]) -> Iterator[list[str]]:
         yield list(job)
 
 
-def _values(override: Override) -> list[str]:
+def values_of(override: Override) -> list[str]:
     """The values that an override lists, one after another, as they would be on a command line."""
     if not override.is_sweep_override():
         return [str(override.value())]
@@ -286,7 +374,9 @@ def _values(override: Override) -> list[str]:
         return list(itertools.islice(override.sweep_string_iterator(), MOST_JOBS + 1))
     except HydraException:  # glob, and intervals of a sweeper that draws from them
         prefix, text = override.get_key_element(), override.input_line
-        raise UserError(f"{text}: list the values, as in {prefix}=a,b") from None
+        raise UserError(
+            f"{text}: list the values, as in {prefix}=a,b, or draw them with search=random"
+        ) from None
 
 
 def _as_list(value: str | list[str]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Mapping
 
@@ -11,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from zipf import output
 from zipf.envs import KINDS
 from zipf.experiments.evaluation.evaluator import Result, scores
 from zipf.experiments.training.clock import PARTS, shares
@@ -26,7 +28,7 @@ class Display:
         update: those made already.
         frames_per_update: frames that one consumes.
         takes_turns: whether collection and learning do, see `shares`.
-        console: where to print; standard output by default.
+        console: where to print; by default standard output, unless `zipf.output.is_quiet`.
     """
 
     def __init__(
@@ -39,13 +41,13 @@ class Display:
         takes_turns: bool = True,
         console: Console | None = None,
     ):
-        self.console = console or Console(highlight=False)
+        self.console = console or output.console()
         self.name = name
         self.updates = updates
         self.update = update
         self.frames_per_update = frames_per_update
         self.takes_turns = takes_turns
-        self.live = self.console.is_terminal
+        self.live = self.console.is_terminal and not self.console.quiet
         self.scores: dict[str, float] = {}
         self.metrics: dict[str, float] = {}
         self.evaluation: tuple[int, int] | None = None  # episodes that have ended, of how many
@@ -72,6 +74,13 @@ class Display:
     def say(self, line: str) -> None:
         """Prints a line, above the panel on a terminal."""
         self.console.print(line, soft_wrap=True, markup=False)
+
+    def warn(self, line: str) -> None:
+        """Prints a line that is not left out where others are: then to standard error."""
+        if output.is_quiet():
+            print(line, file=sys.stderr)
+        else:
+            self.say(line)
 
     def advance(self, update: int) -> None:
         """An update was made."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import shlex
 import signal
+import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
 import torch
-from rich.console import Console
 from torch import Tensor
 
 from zipf import envs
@@ -32,29 +33,33 @@ from zipf.experiments.building.device_envs import (
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.building.out_of_ram import enough_ram
 from zipf.experiments.building.seeds import derive_seed
-from zipf.experiments.evaluation.evaluator import scores
 from zipf.experiments.evaluation.trained import evaluate_agent
 from zipf.experiments.hooks.visits import Visits
+from zipf.experiments.loggers import End, Start
 from zipf.experiments.options.schema import Config, has_bfloat16
 from zipf.experiments.training import pretrained
 from zipf.experiments.training.allocator import keep_freed_ram
 from zipf.experiments.training.clock import Clock, DeviceClock
-from zipf.experiments.training.display import Display
-from zipf.experiments.training.logger import Logger
+from zipf.experiments.training.outputs import Outputs
 from zipf.experiments.training.rollouts import SynchronousRollouts, TensorRollouts
 from zipf.experiments.training.runtime import LearnerLost, OnlyLearner, Runtime
 from zipf.experiments.training.signals import Stopped, StopSignals, sweep_has_ended
+from zipf.experiments.training.tables import Tables
 
 
-def train(config: Config, runtime: Runtime | None = None) -> int:
-    """Trains until `config.updates`, a signal that asks to stop, or the first update after
-    `schedule.stop_after` seconds; the same command resumes.
+def train(
+    config: Config, runtime: Runtime | None = None, words: Sequence[str] | None = None
+) -> int:
+    """Trains until `config.updates`, a signal or a logger that asks to stop, or the first update
+    after `schedule.stop_after` seconds; the same command resumes.
 
     A run that is finished is left as it is. `schedule.stop_after` gives up no evaluation, and each
     call makes at least one update, so that repeated calls finish.
 
     Args:
         runtime: the processes of the run (`zipf.experiments.cluster.runtime_of`); None: this one.
+        words: the arguments of the command, which describe the run in its folder; None: those of
+            this process.
 
     Returns the number of the signal that stopped it, 0 for none.
 
@@ -73,10 +78,10 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
         learner = stack.enter_context(runtime.learner())
         if learner.is_first:
             stack.enter_context(run_folder.lock(config.folder))
-        run = Run(config, runtime, learner)
+        run = Run(config, runtime, learner, sys.argv[1:] if words is None else words)
         if run.is_finished:
             run.close()
-            run.display.say(f"{run.name}: is finished at update {run.update}, in {run.folder}")
+            run.outputs.say(f"{run.name}: is finished at update {run.update}, in {run.folder}")
             return 0
         stop = run.stop
         try:
@@ -85,18 +90,20 @@ def train(config: Config, runtime: Runtime | None = None) -> int:
                     run.evaluate()
                 if run.is_new:
                     run.save()
-                over = 0
+                over = int(bool(run.outputs.reason))
                 while run.update < config.updates and not run.may_stop(stop.requested or over):
                     unroll, metrics = run.step()
-                    run.display.advance(run.update)
+                    run.outputs.display.advance(run.update)
                     if run.update % schedule.log_every == 0:
                         run.log(unroll, metrics)
                     if run.evaluation_is_due:
                         run.evaluate()
                     if run.update % schedule.checkpoint_every == 0:
                         run.save()
-                    if schedule.stop_after is not None:
-                        over = int(time.monotonic() - began >= schedule.stop_after)
+                    late = schedule.stop_after is not None and (
+                        time.monotonic() - began >= schedule.stop_after
+                    )
+                    over = int(late or bool(run.outputs.reason))
                 run.save()
                 if run.closing_evaluation_is_due:
                     run.evaluate()
@@ -163,9 +170,14 @@ class Run:
     """
 
     def __init__(
-        self, config: Config, runtime: Runtime | None = None, learner: OnlyLearner | None = None
+        self,
+        config: Config,
+        runtime: Runtime | None = None,
+        learner: OnlyLearner | None = None,
+        words: Sequence[str] = (),
     ):
         self.config = config
+        self._words = words
         self.learner = learner or OnlyLearner()
         runtime = runtime or Runtime(config)
         self.folder = config.folder
@@ -212,17 +224,15 @@ class Run:
         if self.is_finished and self.learner.is_first:
             assert self._lengths is not None
             run_folder.check_description(config, self.env.situation)
-            Logger.check(self.folder, self.update, self._lengths)
+            Tables.check(self.folder, self.update, self._lengths)
         self.name = config.run_name
-        self.display = Display(
-            self.name,
-            config.updates,
+        self.outputs = Outputs(
+            config,
             self.update,
-            frames_per_update=self.frames_per_update,
+            is_first=self.learner.is_first,
             takes_turns=type(self.rollouts) in (SynchronousRollouts, TensorRollouts),
-            console=None if self.learner.is_first else Console(quiet=True, force_terminal=False),
         )
-        self.stop = StopSignals(self.display.say)
+        self.stop = StopSignals(self.outputs.display.warn)
 
     def __enter__(self) -> Run:
         try:
@@ -233,30 +243,41 @@ class Run:
         return self
 
     def _begin(self) -> None:
+        tell = self.outputs.tell
         if self.learner.is_first:
             self._begin_files()
         self._logged = self.clock.training, self.update
         state = "a new run" if self.is_new else f"resumes at update {self.update}"
         precision = self.config.precision
         where = f"on {self.device} in {precision}"
-        self.display.say(f"{self.name}: {state}, {where}, in {self.folder}")
-        self._write(f"{self.name}: {state}, {where}")
+        self.outputs.say(f"{self.name}: {state}, {where}, in {self.folder}")
+        self.outputs.write(f"{self.name}: {state}, {where}")
         encoder = getattr(getattr(self.agent, "network", None), "encoder", None)
         if isinstance(encoder, Encoder):
-            self._tell(encoder.describe(self.env.single_observation_space))
+            tell(encoder.describe(self.env.single_observation_space))
         if self.device.startswith("cuda"):
-            self._tell(self._on_cuda())
+            tell(self._on_cuda())
         if precision == "bfloat16" and not has_bfloat16(self.device):
-            self._tell(
+            self.outputs.warn(
                 "precision=bfloat16: this device has no instructions for it and takes several "
                 "times as long as with precision=float32"
             )
         if self._pretrained:
-            self._tell(pretrained.message(self._pretrained))
+            tell(pretrained.message(self._pretrained))
         for note in self._notes:
-            self._tell(note)
-        self.rollouts.open(self._tell)
-        self.display.start()
+            tell(note)
+        self.rollouts.open(tell)
+        self.outputs.start(
+            Start(
+                self.folder,
+                self.name,
+                self.is_new,
+                self.update,
+                self.update * self.frames_per_update,
+                self.config.model_dump(),
+                tuple(self.config.split.kinds),
+            )
+        )
 
     def _on_cuda(self) -> str:
         """Where envs are stepped, whether functions are captured, and why not."""
@@ -271,34 +292,33 @@ class Run:
     def _begin_files(self) -> None:
         if not self.is_new:
             run_folder.check_description(self.config, self.env.situation)
-        self.logger = Logger(
-            self.folder, resume_at=-1 if self.is_new else self.update, lengths=self._lengths
-        )
+        self.outputs.open(self.update, self._lengths)
         resumed_at = None if self.is_new else self.update
         run_folder.write_description(
-            self.config, self.env.situation, resumed_at, pretrained=self._pretrained
+            self.config,
+            self.env.situation,
+            self._words,
+            resumed_at=resumed_at,
+            pretrained=self._pretrained,
         )
 
-    def _tell(self, line: str) -> None:
-        self.display.say(line)
-        self._write(line)
-
-    def _write(self, line: str) -> None:
-        if self.learner.is_first:
-            self.logger.text(line)
-
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self.display.stop()
+        self.outputs.display.stop()
         if kind is None:
             report = ["python", "-m", "zipf.report", str(self.folder.parent.parent)]
             if self.update < self.config.schedule.window[0]:
                 report.append("window=last")
-            stopped = f"stopped at update {self.update}; the same command resumes"
-            self.display.say(f"finished; {shlex.join(report)}" if self.is_finished else stopped)
-            self._write(f"finished at update {self.update}" if self.is_finished else stopped)
-        if self.learner.is_first:
-            self.logger.close()
+            why = f" ({self.outputs.reason})" if self.outputs.reason else ""
+            stopped = f"stopped at update {self.update}{why}; the same command resumes"
+            self.outputs.say(f"finished; {shlex.join(report)}" if self.is_finished else stopped)
+            self.outputs.write(f"finished at update {self.update}" if self.is_finished else stopped)
+        self.outputs.end(End(self.update, kind is None and self.is_finished, self._film))
         self.close()
+
+    def _film(self) -> Path | None:
+        from zipf.experiments.playing.videos import film  # here: it imports what draws
+
+        return film(self.folder, self.config.plugins)
 
     @property
     def is_finished(self) -> bool:
@@ -383,10 +403,7 @@ class Run:
                 }
             ),
         }
-        when = self._when()
-        if self.learner.is_first:
-            self.logger.metrics(when, found)
-        self.display.show_metrics({**when, **found})
+        self.outputs.metrics(self._when(), found)
 
     def _when(self) -> dict[str, float]:
         """What rows of tables begin with."""
@@ -432,7 +449,7 @@ class Run:
             self.evaluated = self.update
 
     def _watch_evaluation(self, ended: int, episodes: int) -> None:
-        self.display.show_evaluation(ended, episodes)
+        self.outputs.display.show_evaluation(ended, episodes)
         if self.stop.requested:
             raise Stopped
 
@@ -446,10 +463,7 @@ class Run:
                 seed=derive_seed(self.config.seed, "evaluation", self.update),
                 watch=self._watch_evaluation,
             )
-        self.logger.evaluation(self._when(), results, visits)
-        self.display.show_scores(results)
-        shown = "  ".join(f"{kind} {score:.3f}" for kind, score in scores(results).items())
-        self.logger.text(f"update {self.update}: {shown}")
+        self.outputs.evaluation(self._when(), results, visits)
 
     def save(self) -> None:
         """Writes the checkpoint."""
@@ -469,7 +483,7 @@ class Run:
             "options": self.config.what_is_learned,
             "update": self.update,
             "evaluated": self.evaluated,
-            "tables": self.logger.lengths(),
+            "tables": self.outputs.lengths(),
             "clock": self.clock.state_dict(),
             **learned,
         }

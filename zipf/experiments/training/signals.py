@@ -13,7 +13,9 @@ from typing import Any
 
 Handler = Callable[[int, FrameType | None], object]
 
-CLUSTER = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)
+CLUSTER = tuple(
+    signal.Signals[name] for name in ("SIGUSR1", "SIGUSR2", "SIGXCPU") if hasattr(signal, name)
+)  # Windows has none of them
 """Signals by which clusters say that the time of a job is over, or that its place is needed. The
 system sends the last one every second."""
 

@@ -1,0 +1,400 @@
+"""Searches: sweeps whose values are drawn at random, or suggested by Optuna, and scored.
+
+A trial is a combination of values, trained with every seed of the command line; its objective is
+the mean score of these runs on the train or the validation levels. The same command goes on with an
+interrupted search.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from hydra.core.override_parser.types import IntervalSweep, Override
+from pydantic import ValidationError
+
+from zipf.errors import UserError
+from zipf.experiments.building import loading, run_folder
+from zipf.experiments.options import command_line, config_files
+from zipf.experiments.options.naming import with_hash
+from zipf.experiments.options.schema import PositiveInt, Seed
+from zipf.experiments.records.wording import updates_text
+from zipf.experiments.sweeping import sweeps
+from zipf.options import Options
+from zipf.protocol import KINDS
+
+if TYPE_CHECKING:
+    from optuna import Study
+    from optuna.distributions import BaseDistribution
+
+DIGITS = 3  # significant, of numbers from intervals; ours: they are parts of folders' names
+_DRAWS = 1000  # ours: after as many that were there before there are no others
+
+
+class RandomSearch(Options):
+    """`search=random`: values are drawn from `seed`, each trial's anew, and all runs are begun.
+
+    `objective` is the kind of levels whose score is the larger, the better.
+    """
+
+    trials: PositiveInt
+    objective: Literal["train", "validation"]
+    seed: Seed
+
+
+class OptunaSearch(RandomSearch):
+    """`search=optuna`: Optuna suggests values by the scores so far, of `batch` trials at a time."""
+
+    batch: PositiveInt
+
+
+_KINDS: Mapping[str, type[RandomSearch]] = {"random": RandomSearch, "optuna": OptunaSearch}
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """An option that is searched.
+
+    Attributes:
+        option: as on the command line.
+        values: to choose from; empty for an interval.
+        low, high: the interval, ends included.
+        whole: whether its numbers are whole ones.
+        log: whether their logarithm is drawn uniformly.
+    """
+
+    option: str
+    values: tuple[str, ...] = ()
+    low: float = 0.0
+    high: float = 0.0
+    whole: bool = False
+    log: bool = False
+
+    def draw(self, rng: np.random.Generator) -> str:
+        """A value, as on the command line."""
+        if self.values:
+            return self.values[rng.integers(len(self.values))]
+        low, high = (self.low - 0.5, self.high + 0.5) if self.whole else (self.low, self.high)
+        if self.log:
+            return self.text(math.exp(rng.uniform(math.log(low), math.log(high))))
+        return self.text(rng.uniform(low, high))
+
+    def distribution(self) -> BaseDistribution:
+        """What Optuna draws from."""
+        from optuna import distributions
+
+        if self.values:
+            return distributions.CategoricalDistribution(self.values)
+        if self.whole:
+            return distributions.IntDistribution(int(self.low), int(self.high), log=self.log)
+        return distributions.FloatDistribution(self.low, self.high, log=self.log)
+
+    def text(self, value: Any) -> str:
+        """A value as on the command line."""
+        if self.values:
+            return str(value)
+        if self.whole:
+            return str(int(min(max(round(value), self.low), self.high)))
+        short = f"{value:.{DIGITS}g}"
+        return short if self.low <= float(short) <= self.high else repr(float(value))
+
+
+@dataclass
+class _Tried:
+    """A trial.
+
+    Attributes:
+        values: of the dimensions, in their order.
+        jobs: its runs, one for each seed.
+        open: the number by which Optuna waits for its objective, if it does.
+        scores: of the runs that have finished.
+    """
+
+    values: tuple[str, ...]
+    jobs: tuple[sweeps.PlannedJob, ...]
+    open: int | None = None
+    scores: list[float] = field(default_factory=list)
+
+    @property
+    def is_scored(self) -> bool:
+        return len(self.scores) == len(self.jobs)
+
+    @property
+    def objective(self) -> float:
+        return sum(self.scores) / len(self.scores) if self.scores else -math.inf
+
+
+def asked(overrides: Sequence[str]) -> Search | None:
+    """The search of a command line; None where it asks for none.
+
+    Raises:
+        UserError: there is no such search, or nothing that it could search.
+    """
+    return Search(list(overrides)) if any(map(sweeps.for_search, overrides)) else None
+
+
+class Search:
+    """A search: what is run next, and what has come of it.
+
+    Attributes:
+        jobs: how many runs there will be.
+        folder: has `trials.csv`, and of Optuna its journal.
+    """
+
+    def __init__(self, overrides: list[str]):
+        parsed = command_line.parse([one for one in overrides if not sweeps.for_hydra(one)])
+        own = [one for one in parsed if sweeps.for_search(str(one.input_line))]
+        rest = [one for one in parsed if one not in own]
+        self.name, self.options = _options(own)
+        seeds = [one for one in rest if one.key_or_group == "seed"]
+        lists = [one for one in rest if one.is_sweep_override() and one not in seeds]
+        for one in rest:
+            if one.key_or_group == "sweep" or (one in lists and one.key_or_group == "experiment"):
+                raise UserError(
+                    f"{one.input_line}: a search is of one experiment, whose scores compare; give "
+                    "it experiment=<name>, and lists or intervals of other options"
+                )
+        self._dimensions = [_dimension(one) for one in lists]
+        if not self._dimensions:
+            raise UserError(
+                f"search={self.name}: there is nothing to search; give an option an interval or a "
+                "list, as in 'agent.learning_rate=tag(log,interval(1e-4,1e-2))'"
+            )
+        self._fixed = [str(one.input_line) for one in rest if one not in [*lists, *seeds]]
+        self._seeds = [str(one.input_line) for one in seeds]
+        self._trials: list[_Tried] = []
+        self._rows: dict[Path, tuple[str, ...]] = {}
+        self._drawn = list(itertools.islice(self._draws(), self.options.trials))
+        first = loading.read([*self._fixed, *self._words(self._drawn[0])])
+        kinds = [kind for kind in first.split.kinds if kind in ("train", "validation")]
+        if self.options.objective not in kinds:
+            raise UserError(
+                f"search.objective={self.options.objective}: {first.split.name} has no such "
+                f"levels; should be {' or '.join(kinds)}"
+            )
+        trials = self.options.trials if self._uses_optuna else len(self._drawn)
+        self.jobs = trials * math.prod(len(sweeps.values_of(one)) for one in seeds)
+        self.folder = first.folder.parent.parent / self._folder_name()
+        self._end = first.updates, first.schedule.window
+        self._study: Study | None = _study(self.folder) if self._uses_optuna else None
+
+    def ask(self) -> list[sweeps.PlannedJob]:
+        """The runs that come next; none where all trials were made.
+
+        Raises:
+            UserError: with one line for every mistake in the options of a trial.
+        """
+        if self._study is None:
+            new = [] if self._trials else [_Tried(one, self._runs(one)) for one in self._drawn]
+        else:
+            new = list(self._suggested(self._study))
+        self._trials += new
+        return list({job.config.folder: job for one in new for job in one.jobs}.values())
+
+    def tell(self) -> None:
+        """Reads the scores of the runs that have finished, and writes `trials.csv`."""
+        for trial in self._trials:
+            if trial.is_scored:
+                continue
+            finished = (one.config for one in trial.jobs if run_folder.is_finished(one.config))
+            trial.scores = [self._score(config.folder) for config in finished]
+            if self._study is not None and trial.is_scored and trial.open is not None:
+                self._study.tell(trial.open, trial.objective)
+                trial.open = None
+        run_folder.make(self.folder)
+        with open(self.folder / "trials.csv", "w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(self._table())
+
+    def summary(self) -> Iterator[str]:
+        """A table of all trials, the best first, and the command of the best."""
+        path = (self.folder / "trials.csv").as_posix()
+        yield f"{len(self._trials)} trials of search={self.name}, by {self._measure()}; {path}"
+        rows = [row[:-1] for row in self._table()]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        for row in rows:
+            yield "  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True))
+        best = self._ranked()[0]
+        if not best.is_scored:
+            yield "no trial has finished with all its seeds"
+            return
+        many = ["-m"] if len(best.jobs) > 1 else []
+        words = [*self._fixed, *self._words(best.values), *self._seeds]
+        yield f"best: {shlex.join(['python', '-m', 'zipf.train', *many, *words])}"
+
+    @property
+    def _uses_optuna(self) -> bool:
+        return isinstance(self.options, OptunaSearch)
+
+    def _draws(self) -> Iterator[tuple[str, ...]]:
+        """Values of trials, none twice, until there are no others."""
+        rng = np.random.default_rng(self.options.seed)
+        seen = set()
+        while True:
+            draws = (tuple(one.draw(rng) for one in self._dimensions) for _ in range(_DRAWS))
+            new = next((values for values in draws if values not in seen), None)
+            if new is None:
+                return
+            seen.add(new)
+            yield new
+
+    def _suggested(self, study: Study) -> Iterator[_Tried]:
+        """At first all trials that Optuna knows, among them those that were interrupted; then as
+        many new ones as a batch has."""
+        import optuna
+
+        assert isinstance(self.options, OptunaSearch)
+        spaces = {one.option: one.distribution() for one in self._dimensions}
+        known = [] if self._trials else study.get_trials(deepcopy=False)
+        for one in known:
+            yield self._tried(one.number, one.params, is_open=not one.state.is_finished())
+        waiting = any(not one.state.is_finished() for one in known)
+        for number in range(len(study.trials), self.options.trials)[: self.options.batch]:
+            if waiting:
+                return  # what they score is known before new values are chosen
+            # By the trial's number, so that an interrupted search goes on as if it had not been.
+            seed = int(np.random.SeedSequence((self.options.seed, number)).generate_state(1)[0])
+            study.sampler = optuna.samplers.TPESampler(seed=seed)
+            new = study.ask(spaces)
+            yield self._tried(new.number, new.params, is_open=True)
+
+    def _tried(self, number: int, params: Mapping[str, Any], *, is_open: bool) -> _Tried:
+        values = tuple(one.text(params[one.option]) for one in self._dimensions)
+        return _Tried(values, self._runs(values), number if is_open else None)
+
+    def _runs(self, values: tuple[str, ...]) -> tuple[sweeps.PlannedJob, ...]:
+        words = [*self._fixed, *self._words(values), *self._seeds]
+        jobs = sweeps.check(words, run_folder.is_finished).jobs
+        for job in jobs:
+            if self._rows.setdefault(job.config.folder, values) != values:
+                raise UserError(
+                    f"{job.config.folder}: two trials would use this folder; leave out name=, and "
+                    "search options that change what is learned"
+                )
+        return jobs
+
+    def _words(self, values: Sequence[str]) -> list[str]:
+        return [f"{one.option}={text}" for one, text in zip(self._dimensions, values, strict=True)]
+
+    def _folder_name(self) -> str:
+        """A name for the search of these options, which may have more trials later."""
+        kept = self.options.model_dump(exclude={"trials", "batch"})
+        whole = repr((sorted(self._fixed), self._dimensions, self._seeds, self.name, kept))
+        short = "+".join(one.option.rpartition(".")[2] for one in self._dimensions)
+        return with_hash(f"search-{self.name}-{short}", whole)
+
+    def _measure(self) -> str:
+        """Where the scores are from, in words."""
+        updates, (start, end) = self._end
+        kind = self.options.objective
+        if updates >= start:
+            return f"{kind} score over updates {updates_text(start, end)}"
+        return (
+            f"{kind} score at the last evaluation (schedule.window=[{start},{end}] begins after "
+            f"updates={updates})"
+        )
+
+    def _score(self, folder: Path) -> float:
+        """The mean score in the run's window, or of its last evaluation where that comes before."""
+        from zipf.experiments.records.results import load_run
+        from zipf.experiments.reporting.windows import LastEvaluations, OwnWindows, window_of
+
+        run = load_run(folder)
+        means = run.mean_scores(run.description.levels_of(self.options.objective))
+        inside = means[window_of(run, OwnWindows()).select(means["update"])]
+        if not len(inside):
+            inside = means[LastEvaluations(1).select(means["update"])]
+        return float(inside["score"].mean())
+
+    def _ranked(self) -> list[_Tried]:
+        return sorted(self._trials, key=lambda one: (not one.is_scored, -one.objective))
+
+    def _table(self) -> list[list[str]]:
+        options = [one.option for one in self._dimensions]
+        rows = [["trial", self.options.objective, "seeds", *options, "folder"]]
+        number = {id(one): str(i) for i, one in enumerate(self._trials, start=1)}
+        for one in self._ranked():
+            score = f"{one.objective:.4f}" if one.scores else ""
+            seeds = f"{len(one.scores)}/{len(one.jobs)}"
+            folder = one.jobs[0].config.folder.parent.as_posix()
+            rows.append([number[id(one)], score, seeds, *one.values, folder])
+        return rows
+
+
+def _options(own: Sequence[Override]) -> tuple[str, RandomSearch]:
+    """The search that is asked for, and its options."""
+    names = [str(one.value()) for one in own if one.key_or_group == "search"]
+    if not names:
+        searches = " or ".join(f"search={name}" for name in _KINDS)
+        raise UserError(f"{own[0].input_line}: choose the search, too: {searches}")
+    name = names[-1]
+    if name not in _KINDS or (written := config_files.find("search", name)) is None:
+        hint = command_line.nearest(name, list(_KINDS))
+        raise UserError(f"search={name:.200}: no such search; {hint}")
+    given = {one.key_or_group: one.value() for one in own if one.key_or_group != "search"}
+    objective = given.get("search.objective")
+    if objective in KINDS and objective not in ("train", "validation"):
+        raise UserError(
+            f"search.objective={objective}: what is chosen by {objective} scores is no longer "
+            "tested by them; should be train or validation"
+        )
+    values = {option.removeprefix("search."): value for option, value in given.items()}
+    try:
+        return name, _KINDS[name].model_validate({**written.values, **values})
+    except ValidationError as error:
+        accepted = [f"search.{option}" for option in _KINDS[name].model_fields]
+        raise UserError("\n".join(_mistakes(error, accepted))) from None
+
+
+def _mistakes(error: ValidationError, accepted: list[str]) -> Iterator[str]:
+    for one in error.errors():
+        option = f"search.{one['loc'][0]}"
+        if one["type"] == "extra_forbidden":
+            yield f"{option}: no such option; {command_line.nearest(option, accepted)}"
+        else:
+            yield f"{option}={one['input']!s:.200}: {one['msg'].removeprefix('Input ')}"
+
+
+def _dimension(override: Override) -> Dimension:
+    value, option = override.value(), override.get_key_element()
+    if not isinstance(value, IntervalSweep):
+        return Dimension(option, tuple(dict.fromkeys(sweeps.values_of(override))))
+    low, high = value.start, value.end
+    assert low is not None
+    assert high is not None
+    whole = "int" in value.tags or (isinstance(low, int) and isinstance(high, int))
+    log = "log" in value.tags
+    line = override.input_line
+    if unknown := value.tags - {"int", "log"}:
+        raise UserError(f"{line}: no such tag as {min(unknown)}; should be log or int")
+    if not -math.inf < low < high < math.inf:
+        raise UserError(f"{line}: should be two numbers, the smaller one first")
+    if log and low <= 0:
+        raise UserError(f"{line}: a logarithmic interval should begin above 0")
+    return Dimension(option, (), low, high, whole, log)
+
+
+def _study(folder: Path) -> Study:
+    """Optuna's journal of a search in its folder, which is made."""
+    try:
+        import optuna
+        from optuna.storages import JournalStorage
+        from optuna.storages.journal import JournalFileBackend
+    except ImportError:
+        raise UserError(
+            'search=optuna: needs Optuna: pip install ".[optuna]" in a clone of zipf'
+        ) from None
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    run_folder.make(folder)
+    return optuna.create_study(
+        storage=JournalStorage(JournalFileBackend(str(folder / "optuna.log"))),
+        study_name=folder.name,
+        direction="maximize",
+        load_if_exists=True,
+    )
