@@ -1,5 +1,6 @@
 """The package as a library: what `import zipf` gives, and what it does not bring along."""
 
+import gc
 import importlib
 import inspect
 import json
@@ -18,6 +19,7 @@ from hydra.core.global_hydra import GlobalHydra
 
 import zipf
 from zipf import envs
+from zipf.agents.learner import Learner
 from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.options import command_line
 from zipf.experiments.options.schema import Config
@@ -226,9 +228,14 @@ def test_an_interrupt_leaves_a_checkpoint(tmp_path, monkeypatch):
 
 
 def test_training_leaves_the_process_as_it_was(tmp_path):
-    """PyTorch's generator, and Hydra."""
-    drawn = torch.get_rng_state()
+    """PyTorch's generator, Hydra, and no agent that holds memory."""
+
+    def learners():
+        return sum(issubclass(type(one), Learner) for one in gc.get_objects())
+
+    drawn, before = torch.get_rng_state(), learners()
     zipf.train(**tiny(tmp_path, updates=1), quiet=True)
+    assert learners() <= before
     assert torch.equal(torch.get_rng_state(), drawn)
     assert not GlobalHydra.instance().is_initialized()
 

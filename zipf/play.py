@@ -61,8 +61,9 @@ def _play(arguments: list[str]) -> None:
     from zipf.experiments.options.command_line import read_options
     from zipf.experiments.playing.playing import PlayOptions, play
 
-    for number in (signal.SIGTERM, signal.SIGHUP):  # leave a terminal and a recording in order
-        signal.signal(number, _exit)
+    for name in ("SIGTERM", "SIGHUP"):  # leave a terminal and a recording in order
+        if hasattr(signal, name):  # Windows has no SIGHUP
+            signal.signal(signal.Signals[name], _exit)
     options = read_options(PlayOptions, arguments)
     play(options, (lambda line: None) if is_quiet() else lambda line: print(line, flush=True))
 

@@ -144,8 +144,8 @@ class Mixture(ZipfVectorEnv):
         self.metadata = first.metadata
         self.reports_success = all(batch.reports_success for batch in self.batches)
         self.longest_episode = max(batch.longest_episode for batch in self.batches)
-        limits = [batch.time_limit for batch in self.batches]
-        self.time_limit = None if None in limits else max(limits)
+        limits = [batch.time_limit for batch in self.batches if batch.time_limit is not None]
+        self.time_limit = max(limits) if len(limits) == len(self.batches) else None
         self.achieves = all(batch.achieves for batch in self.batches)
         self.sliceable = all(batch.sliceable for batch in self.batches)
         regions = [batch.action_regions for batch in self.batches]

@@ -58,9 +58,13 @@ class GridworldVectorEnv(ZipfVectorEnv):
 
     def pictures(self, width: int, height: int) -> tuple[NDArray[np.uint8], ...]:
         """As `ZipfVectorEnv.pictures`, in whole enlargements of the agent's pixels."""
-        smallest = frame(self.level.maps, *self._envs[0].tolist(), scale=1)
+        map, target, row, column = self._envs[0].tolist()
+        smallest = frame(self.level.maps, map, target, row, column, 1)
         scale = max(min(width // smallest.shape[1], height // smallest.shape[0]), 1)
-        drawn = (frame(self.level.maps, *env, scale=scale) for env in self._envs.tolist())
+        drawn = (
+            frame(self.level.maps, map, target, row, column, scale)
+            for map, target, row, column in self._envs.tolist()
+        )
         return tuple(fit(picture, width, height) for picture in drawn)
 
     def _begin(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:

@@ -11,6 +11,7 @@ from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.text import Text
 
+from zipf import output
 from zipf.experiments.records.wording import duration_text
 from zipf.experiments.sweeping.job import Job, Outcome
 
@@ -22,11 +23,11 @@ class SweepProgress:
 
     Args:
         jobs: how many the sweep has.
-        console: where to print; standard output by default.
+        console: where to print; by default standard output, unless `zipf.output.is_quiet`.
     """
 
     def __init__(self, jobs: int, console: Console | None = None):
-        self.console = console or Console(highlight=False)
+        self.console = console or output.console()
         self.jobs = jobs
         self._ended = 0
         self._at_once = 1  # jobs that were seen to run side by side, at most
@@ -43,12 +44,12 @@ class SweepProgress:
         )
 
     def __enter__(self) -> SweepProgress:
-        if self.console.is_terminal:
+        if self.console.is_terminal and not self.console.quiet:
             self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self.console.is_terminal:
+        if self.console.is_terminal and not self.console.quiet:
             self._live.stop()
 
     def say(self, line: str) -> None:
