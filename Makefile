@@ -44,7 +44,7 @@ wheel: $(VENV)/.installed-dev  ## build the wheel into dist/
 	$(BIN)/python -m build --wheel
 
 results: $(VENV)/.installed-dev  ## write docs/record.md and the tables of RESULTS.md from the files in results/
-	$(BIN)/python -m zipf.report results window=own record=docs/record.md
+	$(BIN)/python -m zipf.report results window=own claims=true record=docs/record.md
 	$(BIN)/python scripts/write_tables.py
 
 clean:  ## remove the virtual environment and what was built; runs are kept

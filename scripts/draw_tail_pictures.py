@@ -2,12 +2,14 @@
 
     python scripts/draw_tail_pictures.py
 
-Of each of `WORLDS`, every agent of the record whose configuration is among its `agents`: its scores
-against the frames that it has learned from, in `docs/tail_<name>_learning.png`, and its success
-against how rarely training draws a situation, in `docs/tail_<name>_rarity.png`.
+Of each of `TASKS`, every agent of the record whose configuration is among its `agents`: its scores
+against the frames that it has learned from, which begin with those of the run that it began with,
+in `docs/tail_<name>_learning.png`, and its success against how rarely training draws a situation,
+in `docs/tail_<name>_rarity.png`.
 """
 
 import argparse
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -19,6 +21,7 @@ matplotlib.use("agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+import tail_table
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -33,11 +36,15 @@ ROOT = Path(__file__).parent.parent
 
 
 class Agent(NamedTuple):
-    """How an agent is drawn; colours of Tol 2021, vibrant."""
+    """How an agent is drawn; colours of Tol 2021, vibrant, which are seen on white and on black.
 
-    label: str
+    Attributes:
+        label: of one that the table of the page has not, which has the names of the others.
+    """
+
     colour: str
     line: str = "-"
+    label: str = ""
 
 
 class Task(NamedTuple):
@@ -77,25 +84,19 @@ TASKS = [
         "gridworld",
         "gridworld_compact",
         {
-            "impala_mlp": Agent("IMPALA, plain network", "#000000"),
+            "impala_mlp": Agent("#997700"),
             "impala_mlp,network=comparing,network.comparison=given": Agent(
-                "IMPALA, comparison given", "#0077bb"
+                "#0077bb", label="IMPALA + MLP, given comparison"
             ),
             "impala,network=comparing,precision=bfloat16,network.comparison=given": Agent(
-                "IMPALA + LSTM, comparison given", "#33bbee", "--"
+                "#33bbee", "--", "IMPALA, given comparison"
             ),
-            "impala_given_augmented": Agent("Given, then augmented", "#ee7733", "-."),
-            "impala_comparing_hindsight,precision=bfloat16": Agent(
-                "IMPALA, comparison learned, hindsight", "#ee3377"
-            ),
+            "impala_given_augmented": Agent("#ee7733", "-."),
+            "impala_comparing_hindsight,precision=bfloat16": Agent("#ee3377"),
             "impala_comparing_augmented,precision=bfloat16,"
             "pretrained.run=gridworld_compact_impala_comparing_hindsight,precision=bfloat16,"
-            "collector.num_envs=64,collector.unroll_length=64": Agent(
-                "Learned, then augmented", "#cc3311", "--"
-            ),
-            "imitation_comparing_augmented,precision=bfloat16": Agent(
-                "Imitation, comparison learned", "#009988"
-            ),
+            "collector.num_envs=64,collector.unroll_length=64": Agent("#cc3311", "--"),
+            "imitation_comparing_augmented,precision=bfloat16": Agent("#009988"),
         },
         "generalist",
         of_map_and_target,
@@ -105,13 +106,13 @@ TASKS = [
         "playroom_find",
         "playroom_find_compact",
         {
-            "supervised,network=film": Agent("Classifier", "#000000"),
+            "supervised,network=film": Agent("#997700"),
             "supervised,network=film,augmentation=random,augmentation.channels=False,"
-            "augmentation.shift=4": Agent("Augmentation", "#0077bb"),
-            "supervised_hindsight_augmented,network=film": Agent(
-                "Augmentation and a memory of goals", "#009988"
+            "augmentation.shift=4": Agent(
+                "#0077bb", label="Classifier, film network, augmentation"
             ),
-            "supervised_matching": Agent("The same, and matching", "#cc3311"),
+            "supervised_hindsight_augmented,network=film": Agent("#009988"),
+            "supervised_matching": Agent("#cc3311"),
         },
         "blind",
         of_target,
@@ -121,16 +122,12 @@ TASKS = [
         "playroom_lift",
         "playroom_lift_compact",
         {
-            "impala,network=film": Agent("IMPALA, modulated by the instruction", "#000000"),
-            "imitation": Agent("Imitation", "#0077bb"),
-            "impala_matching": Agent("IMPALA with a matcher", "#cc3311"),
-            "impala_matching_settled": Agent(
-                "The same, then with a falling learning rate", "#ee7733"
-            ),
-            "impala_matching_settled_longer": Agent(
-                "The same, falling three times as slowly", "#aa3377"
-            ),
-            "imitation_matching": Agent("Imitation with a matcher", "#009988"),
+            "impala,network=film": Agent("#997700"),
+            "imitation": Agent("#0077bb"),
+            "impala_matching": Agent("#cc3311"),
+            "impala_matching_settled": Agent("#ee7733"),
+            "impala_matching_settled_longer": Agent("#ee3377"),
+            "imitation_matching": Agent("#009988"),
         },
         "blind",
         of_target,
@@ -151,6 +148,10 @@ def main() -> None:
             "lines.markersize": 3,
         }
     )
+    grey = dict.fromkeys(("text.color", "axes.labelcolor", "xtick.color", "ytick.color"), "0.5")
+    plt.rcParams.update(
+        {**grey, "axes.edgecolor": "0.5", "legend.frameon": False}
+    )  # seen on white and on black
     for task in TASKS:
         runs: dict[str, list[Run]] = {}
         for run in load_runs([ROOT / "results" / task.experiment]):
@@ -163,29 +164,37 @@ def main() -> None:
         save(rarity(task, runs), f"tail_{task.name}_rarity.png")
 
 
+def label(task: Task, name: str) -> str:
+    """An agent's name in the page's table, or its own where that has none."""
+    titles = {one.folder: one.title for table in tail_table.TASKS for one in table.agents}
+    text = titles.get(f"{task.experiment}/{name}", task.agents[name].label).replace("`", "")
+    return textwrap.fill(text, 44)
+
+
 def learning(task: Task, runs: dict[str, list[Run]]) -> Figure:
-    """Scores on the three levels against millions of frames, a line for each run."""
-    figure, axes = plt.subplots(1, 3, figsize=(8.4, 3.1), sharey=True, layout="constrained")
+    """Scores on the three levels against millions of frames, a line for each run, which begins at
+    the frames of the run that it began with."""
+    figure, axes = plt.subplots(1, 3, figsize=(8.4, 3.5), sharey=True, layout="constrained")
     for axis, kind in zip(axes, PAPER_KINDS, strict=True):
         for name, agent in task.agents.items():
             for k, run in enumerate(runs[name]):
                 scores = run.mean_scores(run.description.levels_of(kind))
-                (drawn,) = axis.plot(
-                    scores["frames"] / 1e6, scores["score"], agent.line, color=agent.colour
-                )
-                drawn.set_label(agent.label if k == 0 else "")
+                there = run.description.pretrained
+                frames = scores["frames"] + (there.frames if there else 0)
+                (drawn,) = axis.plot(frames / 1e6, scores["score"], agent.line, color=agent.colour)
+                drawn.set_label(label(task, name) if k == 0 else "")
         finish(axis, task, kind, KIND_NAMES[kind])
         axis.set_xlabel("Million frames")
     axes[0].set_ylabel("Score")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 
 def rarity(task: Task, runs: dict[str, list[Run]]) -> Figure:
     """Success on the uniform level against the share of training episodes that a situation has."""
-    figure, axis = plt.subplots(figsize=(5.6, 3.4), layout="constrained")
+    figure, axis = plt.subplots(figsize=(6.4, 3.9), layout="constrained")
     for name, agent in task.agents.items():
-        rows = pd.concat([run.situations for run in runs[name]])
+        rows = pd.concat([run.situations for run in runs[name] if len(run.situations)])
         rows = rows[rows["level_kind"] == "uniform"]
         share = task.share(rows)
         edges = np.geomspace(share.min() * 0.999, share.max() * 1.001, BINS + 1)
@@ -194,7 +203,9 @@ def rarity(task: Task, runs: dict[str, list[Run]]) -> Figure:
         middles = np.sqrt(edges[sums.index] * edges[sums.index + 1])
         low, high = wilson_interval(sums["successes"], sums["episodes"])
         rate = sums["successes"] / sums["episodes"]
-        axis.plot(middles, rate, agent.line, color=agent.colour, label=agent.label, marker="o")
+        axis.plot(
+            middles, rate, agent.line, color=agent.colour, label=label(task, name), marker="o"
+        )
         axis.fill_between(middles, low, high, color=agent.colour, alpha=0.15, linewidth=0)
     axis.set_xscale("log")
     axis.invert_xaxis()
@@ -226,7 +237,7 @@ def finish(axis: Axes, task: Task, kind: str, title: str) -> None:
 def save(figure: Figure, name: str) -> None:
     """Writes a picture into docs/."""
     path = ROOT / "docs" / name
-    figure.savefig(path, dpi=160, facecolor="white", pil_kwargs={"optimize": True})
+    figure.savefig(path, dpi=160, transparent=True, pil_kwargs={"optimize": True})
     print(f"Wrote {path.name}: {path.stat().st_size / 1024:.0f} KB")
 
 

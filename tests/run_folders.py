@@ -15,7 +15,13 @@ from matplotlib.figure import Figure
 from zipf import envs, report
 from zipf.experiments.options import command_line, config_files
 from zipf.experiments.records import results
-from zipf.experiments.reporting import draw_matplotlib, panels, tables, windows
+from zipf.experiments.reporting import (
+    draw_matplotlib,
+    panels,
+    seed_statistics,
+    tables,
+    windows,
+)
 
 CHANCE = {"train": 0.0324, "uniform": 0.0477, "rare": 0.0859}
 EVALUATIONS = "update,frames,seconds,level_kind,level,episodes,score,success,return,length"
@@ -174,9 +180,13 @@ def only_table(folder: Path, window: str | None = None) -> tables.ScoreTable:
 
 def picture_of(table: tables.ScoreTable, kind: str) -> Figure:
     """The picture of a table of one of `zipf.experiments.reporting.markdown.PLOT_KINDS`."""
-    described = panels.charts(table, panels.line_styles(table.rows))
-    drawn = (one for chart in described for one in draw_matplotlib.pictures(chart))
-    return next(figure for name, figure in drawn if name == kind)
+    charts = panels.charts(seed_statistics.seed_statistics(table), panels.looks_of([table]))
+    return draw_matplotlib.picture(next(chart for chart in charts if chart.kind == kind))
+
+
+def labels(figure: Figure) -> list[str]:
+    """The labels at the ends of the curves in a picture, unwrapped."""
+    return [text.get_text().replace("\n", " ") for axis in figure.axes for text in axis.texts]
 
 
 def line(table: tables.ScoreTable, row: str, column: str) -> pd.Series:

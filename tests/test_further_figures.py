@@ -10,6 +10,7 @@ import pytest
 from run_folders import (
     SITUATIONS,
     constant,
+    labels,
     level,
     only_table,
     picture_of,
@@ -18,46 +19,44 @@ from run_folders import (
 )
 
 from zipf.experiments.reporting.panels import (
-    KIND_STYLES,
+    KIND_MARKS,
     ZERO,
     Chart,
+    Looks,
     averages,
     by_visits,
     frequencies,
     learning_curves,
-    line_styles,
+    looks_of,
 )
 from zipf.experiments.reporting.situations import shares
 from zipf.experiments.reporting.tables import ScoreTable
 
 
-def points(chart: Chart | None, panel: int = 0, choice: str = "") -> list[list[list[float]]]:
+def points(chart: Chart | None, panel: int = 0) -> list[list[list[float]]]:
     """The points of each line of a panel that has some."""
     assert chart is not None
-    lines = [one for one in chart.panels[panel].lines if one.is_drawn(choice)]
-    return [np.column_stack([one.x[choice], one.y]).round(6).tolist() for one in lines]
+    lines = [one for one in chart.panels[panel].lines if one.is_drawn]
+    return [np.column_stack([one.x, one.y]).round(6).tolist() for one in lines]
 
 
-def curves(table: ScoreTable) -> Chart:
-    chart = learning_curves(table, line_styles(table.rows))
-    assert chart is not None
-    return chart
+def shown(folder: Path) -> tuple[ScoreTable, Looks]:
+    table = only_table(folder)
+    return table, looks_of([table])
+
+
+def curves(table: ScoreTable, across: str = "") -> Chart | None:
+    return learning_curves(table, looks_of([table]), across)
 
 
 def test_scores_against_time_and_frames(tmp_path: Path) -> None:
     """An update takes 2.5 seconds in these runs and has 4096 frames."""
     write_run(tmp_path, {0: (0.1,) * 3, 240: (0.5,) * 3})
     table = only_table(tmp_path)
-    chart = curves(table)
-    assert {key: axis.title for key, axis in chart.panels[0].x.items()} == {
-        "update": "Updates",
-        "frames": "Frames",
-        "time": "Minutes of training and evaluation",
-    }
-    assert points(chart, choice="update")[0] == [[0.0, 0.1], [240.0, 0.5]]
-    assert points(chart, choice="frames")[0] == [[0.0, 0.1], [240.0 * 4096, 0.5]]
-    assert points(chart, choice="time")[0] == [[0.0, 0.1], [10.0, 0.5]]
-    minutes = picture_of(table, "hours")
+    assert points(curves(table, "update"))[0] == [[0.0, 0.1], [240.0, 0.5]]
+    assert points(curves(table, "frames"))[0] == [[0.0, 0.1], [240.0 * 4096, 0.5]]
+    assert points(curves(table, "time"))[0] == [[0.0, 0.1], [10.0, 0.5]]
+    minutes = picture_of(table, "time")
     np.testing.assert_array_equal(minutes.axes[0].lines[0].get_xdata(), [0, 10])
     assert minutes.axes[0].get_xlabel() == "Minutes of training and evaluation"
     assert minutes.get_suptitle() == "gridworld: score against minutes"
@@ -73,27 +72,25 @@ def test_times_on_different_devices_are_not_compared(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5))
     write_run(tmp_path, constant(0.5), seed=1, device="a GPU")
     table = only_table(tmp_path)
-    assert [*curves(table).panels[0].x] == ["update", "frames"]
+    assert curves(table, "time") is None
     (note,) = (note for note in table.notes if "times are not compared" in note)
     assert note.startswith("Runs were on cpu; a GPU: ")
 
 
 def test_a_run_that_went_on_elsewhere_was_on_both_devices(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5), resumed=[{"update": 100, "device": "a GPU"}])
-    assert "time" not in curves(only_table(tmp_path)).panels[0].x
+    assert curves(only_table(tmp_path), "time") is None
 
 
 def test_long_runs_are_drawn_in_hours_without_external_agents(tmp_path: Path) -> None:
     write_run(tmp_path, {0: (0.1,) * 3, 14400: (0.5,) * 3})
     write_external(tmp_path, {7: (0.3, 0.2, 0.1)})
     table = only_table(tmp_path)
-    assert points(curves(table), choice="time")[0] == [[0.0, 0.1], [10.0, 0.5]]
-    hours = picture_of(table, "hours")
+    assert points(curves(table, "time"))[0] == [[0.0, 0.1], [10.0, 0.5]]
+    hours = picture_of(table, "time")
     assert hours.axes[0].get_xlabel() == "Hours of training and evaluation"
-    texts = [text.get_text() for text in hours.legends[0].get_texts()]
-    assert not any("†" in text for text in texts)
-    texts = [text.get_text() for text in picture_of(table, "learning").legends[0].get_texts()]
-    assert any("†" in text for text in texts)
+    assert not any("†" in text for text in labels(hours))
+    assert any("†" in text for text in labels(picture_of(table, "learning")))
 
 
 def test_averages_are_the_scores_of_the_table(tmp_path: Path) -> None:
@@ -101,7 +98,7 @@ def test_averages_are_the_scores_of_the_table(tmp_path: Path) -> None:
         scores = {update: (0.9, 0.6, rare) for update in (100, 200, 300)}
         write_run(tmp_path, scores, seed=seed)
     write_run(tmp_path, {}, condition="r2d2")  # without a score
-    found = points(averages(only_table(tmp_path)))
+    found = points(averages(*shown(tmp_path)))
     assert [[0.1, 0.0], [0.9, 0.0]] not in found  # the rare score is the median of the seeds
     assert [[0.2, 0.0], [0.9, 0.0]] in found
     assert [[0.1, 0.0], [0.4, 0.0]] in found  # lowest to highest seed
@@ -110,7 +107,6 @@ def test_averages_are_the_scores_of_the_table(tmp_path: Path) -> None:
     figure = picture_of(only_table(tmp_path), "averages")
     names = [text.get_text() for text in figure.axes[0].get_yticklabels()]
     assert names == ["IMPALA", "Chance", "Blind"]
-    assert averages(only_table(tmp_path, "1:2")) is None
 
 
 @pytest.mark.parametrize("seeds", [1, 2])
@@ -150,8 +146,8 @@ def test_frequencies_are_shares_of_episodes(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5), situations=rows)
     table = only_table(tmp_path)
     found = points(frequencies(table))
-    assert found[list(KIND_STYLES).index("train")] == [[1.0, 0.75], [2.0, 0.25]]
-    assert found[list(KIND_STYLES).index("uniform")] == [[1.0, 0.5], [2.0, 0.5]]
+    assert found[list(KIND_MARKS).index("train")] == [[1.0, 0.75], [2.0, 0.25]]
+    assert found[list(KIND_MARKS).index("uniform")] == [[1.0, 0.5], [2.0, 0.5]]
 
 
 def test_levels_that_differ_in_weight_are_as_frequent_as_their_weights(tmp_path: Path) -> None:
@@ -186,12 +182,12 @@ def test_success_against_visits(tmp_path: Path) -> None:
     )
     write_run(tmp_path, constant(0.5), situations=rows)
     table = only_table(tmp_path)
-    chart = by_visits(table, line_styles(table.rows))
+    chart = by_visits(table, looks_of([table]))
     assert points(chart) == [[[ZERO, 0.4], [2.0, 0.25], [50_000.0, 0.9]]]
     assert chart is not None
-    axis = chart.panels[0].x[""]
+    axis = chart.panels[0].x
     assert axis.ticks == ([ZERO, 1, 10, 100, 1000, 10_000], ["0", "1", "10", "100", "1k", "10k"])
-    assert chart.panels[0].lines[0].numbers == [[0, 5], [2, 4], [50_000, 10]]
+    assert chart.panels[0].lines[0].points[1] == "IMPALA, met 2 times: 0.250 of 4 episodes"
     figure = picture_of(table, "visits")
     assert [axis.get_title() for axis in figure.axes] == ["Situation", "Map", "Target"]
     figure.draw_without_rendering()
@@ -200,4 +196,4 @@ def test_success_against_visits(tmp_path: Path) -> None:
         assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
     write_run(tmp_path / "b", constant(0.5), situations=(SITUATIONS, "300,uniform,0,0,9,9,9.0"))
     uncounted = only_table(tmp_path / "b")
-    assert by_visits(uncounted, line_styles(uncounted.rows)) is None
+    assert by_visits(uncounted, looks_of([uncounted])) is None

@@ -13,6 +13,7 @@ from conftest import ANNOUNCED, PACKAGE, TINY
 from rich.console import Console
 
 from zipf.experiments.building import checkpoint
+from zipf.experiments.training.clock import shares
 from zipf.experiments.training.display import Display
 from zipf.experiments.training.signals import CLUSTER, StopSignals
 
@@ -133,6 +134,29 @@ def panel(display: Display) -> str:
     with display.console.capture() as captured:
         display.console.print(display._panel())
     return re.sub(r"\x1b\[[0-9;]*m", "", captured.get())
+
+
+def test_shares_of_time_add_up_to_a_hundred_percent() -> None:
+    parts = {"environment": 0.5, "inference": 41, "learning": 65, "evaluation": 34}
+    assert shares(parts, 141, takes_turns=True) == {
+        "environment": 1,
+        "inference": 29,
+        "learning": 46,
+        "evaluation": 24,
+        "other": 0,
+    }
+    # Beside learning, collection takes no time of the learner's thread but what it waits.
+    assert shares(parts, 100, takes_turns=False) == {
+        "learning": 65,
+        "evaluation": 34,
+        "waiting for frames": 1,
+    }
+    for number in range(1, 50):
+        found = shares(dict.fromkeys(parts, 1 / number), 4.0 + number / 7, number % 2 == 0)
+        assert sum(found.values()) == 100
+    display, _ = shown(5, terminal=True)
+    display.show_metrics(METRICS)
+    assert "learning 25%" in panel(display)
 
 
 def test_the_frames_shown_are_those_of_the_last_update() -> None:

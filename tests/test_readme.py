@@ -164,8 +164,8 @@ def test_play_commands_are_accepted():
 def test_report_commands_are_accepted(monkeypatch):
     calls = []
 
-    def report(folders, output, window, *, record, format, html, **_):
-        calls.append((folders, output, window and parse_window(window), record, format, html))
+    def report(folders, output, window, **named):
+        calls.append((folders, output, window and parse_window(window), named))
 
     monkeypatch.setattr(zipf.report, "report", report)
     monkeypatch.setattr(videos, "record_videos", lambda *given: None)

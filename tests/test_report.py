@@ -50,6 +50,7 @@ from zipf.experiments.reporting import (
     terminal,
     windows,
 )
+from zipf.experiments.reporting.grids import legend
 
 GOLDEN = Path(__file__).parent / "golden" / "report"
 
@@ -248,10 +249,32 @@ def test_a_run_that_did_not_reach_its_window_has_no_score(runs: Path) -> None:
     assert byol["seeds"] == 0
     assert np.isnan(byol["score"])
     assert (
-        "runs/gridworld/impala_byol/seed0: no evaluation at updates 100 to 300 (the last is at "
-        "update 80); not counted. window=scaled or window=last shows it."
+        "IMPALA + BYOL, seed 0: no evaluation at updates 100 to 300 (the last is at update 80); "
+        "not counted."
     ) in table.notes
-    assert "| IMPALA + BYOL | 0/3 | – | 0.75 | – |" in markdown.markdown(table)
+    # The last one is shown, and in no file.
+    shown = markdown.markdown(table).replace("\\", "")
+    assert "| IMPALA + BYOL | 0/3 | 0.50 * | 0.75 | 0.40 * |" in shown
+    assert any(sentence.startswith("*: the window is not reached") for sentence in legend([table]))
+    assert "nan" not in shown
+
+
+def test_a_table_whose_window_no_run_has_reached_shows_the_last_evaluations(tmp_path: Path) -> None:
+    scores = {0: (0.1,) * 3, 40: (0.2,) * 3, 80: (0.4, 0.3, 0.2)}
+    situations = (SITUATIONS, "80,uniform,0,0,10,4,4.0")
+    write_run(tmp_path, scores, situations=situations)
+    write_run(tmp_path, scores, seed=1)
+    table = only_table(tmp_path)
+    assert line(table, "impala", "train")["score"] == 0.4
+    assert line(table, "impala", "train")["window"] == "last"
+    assert "| IMPALA | 2/3 | 0.40 ± 0.00 * |" in markdown.markdown(table).replace("\\", "")
+    assert grids.caption(table).startswith(
+        "No run has reached its window, updates 100 to 300: the last evaluation of each."
+    )
+    assert table.notes == ()
+    made = report.report([tmp_path], tmp_path / "report", claims=True)
+    assert {path.name for path in made.files} >= {"gridworld_scores.png", "gridworld_ranks.png"}
+    assert not any(claim.at_hand for claim in made.claims)
 
 
 def test_the_last_evaluations_on_request(runs: Path) -> None:
@@ -259,7 +282,7 @@ def test_the_last_evaluations_on_request(runs: Path) -> None:
     assert line(last, "impala_byol", "train")["score"] == 0.5
     assert line(last, "impala", "train")["score"] == pytest.approx(0.99)  # 0.99, 0.99, 0.91
     assert grids.caption(last).startswith(
-        "The last evaluation of the median seed (not the experiment's own window), ± median"
+        "The last evaluation (not the experiment's own window). Episodes"
     )
     last_two = only_table(runs / "gridworld", "last:2")
     assert line(last_two, "impala_byol", "train")["score"] == pytest.approx(0.45)
@@ -276,16 +299,16 @@ def test_situations_are_those_of_the_evaluations_inside_a_window(tmp_path: Path)
 
 
 def test_fewer_last_evaluations_than_asked_for_are_noted(tmp_path: Path) -> None:
-    folder = write_run(tmp_path, {0: (0.0,) * 3, 200: (0.4,) * 3, 300: (0.6,) * 3})
-    untrained = write_run(tmp_path, {0: (0.1,) * 3}, condition="r2d2")
+    write_run(tmp_path, {0: (0.0,) * 3, 200: (0.4,) * 3, 300: (0.6,) * 3})
+    write_run(tmp_path, {0: (0.1,) * 3}, condition="r2d2")
     write_external(tmp_path, {7: (0.3,) * 3}, experiment="gridworld")
     table = only_table(tmp_path, "last:3")
     assert line(table, "impala", "rare")["score"] == pytest.approx(0.5)
     assert line(table, "r2d2", "rare")["score"] == 0.1
     assert table.notes == (
-        f"{folder.as_posix()}: has 2 evaluations beside that at update 0, not 3: scored over what "
-        f"there is.",
-        f"{untrained.as_posix()}: has 1 evaluation, not 3: scored over what there is.",
+        "IMPALA, seed 0: has 2 evaluations beside that at update 0, not 3: scored over what there "
+        "is.",
+        "R2D2, seed 0: has 1 evaluation, not 3: scored over what there is.",
     )
     assert only_table(tmp_path, "last").notes == ()
 
@@ -295,18 +318,17 @@ def test_a_given_window_includes_both_ends(runs: Path) -> None:
     assert line(table, "impala_byol", "train")["score"] == pytest.approx(0.45)
     assert line(table, "impala", "train")["seeds"] == 2  # seed 2 has nothing at update 50
     assert grids.caption(table).startswith(
-        "Median over the evaluations at updates 40 to 80 of the median seed "
-        "(not the experiment's own window), ± median"
+        "Updates 40 to 80 (not the experiment's own window). Episodes"
     )
 
 
 def test_a_window_that_is_not_over_yet_is_noted(tmp_path: Path) -> None:
-    folder = write_run(tmp_path, {100: (0.1, 0.1, 0.1), 150: (0.2, 0.2, 0.2)})
+    write_run(tmp_path, {100: (0.1, 0.1, 0.1), 150: (0.2, 0.2, 0.2)})
     table = only_table(tmp_path)
     assert line(table, "impala", "train")["score"] == pytest.approx(0.15)
     assert table.notes == (
-        f"{folder.as_posix()}: at update 150, before the window's end: scored over the 2 "
-        f"evaluations so far.",
+        "IMPALA, seed 0: at update 150, before the window's end: scored over the 2 evaluations so "
+        "far.",
     )
 
 
@@ -330,7 +352,7 @@ def test_a_scaled_window_has_the_same_fractions_of_a_shorter_run(tmp_path: Path)
     # Of the window 200 to 300, updates 80 to 120 of a run that ends at 120, and 200 to 300 of one
     # that goes on to 400.
     short = {60: (0.9,) * 3, 80: (0.1,) * 3, 100: (0.2,) * 3, 120: (0.3,) * 3}
-    folder = write_run(tmp_path, short, window=[200, 300])
+    write_run(tmp_path, short, window=[200, 300])
     long = {100: (0.9,) * 3, 200: (0.5,) * 3, 300: (0.7,) * 3, 400: (0.9,) * 3}
     write_run(tmp_path, long, condition="r2d2", window=[200, 300])
     assert np.isnan(line(only_table(tmp_path), "impala", "rare")["score"])  # unless asked for
@@ -340,12 +362,12 @@ def test_a_scaled_window_has_the_same_fractions_of_a_shorter_run(tmp_path: Path)
     assert line(table, "r2d2", "rare")["score"] == pytest.approx(0.6)
     assert not table.own_window
     assert table.notes == (
-        f"{folder.as_posix()}: ends at update 120, before update 300: scored over updates 80 to "
-        f"120, a scaled window.",
+        "IMPALA, seed 0: ends at update 120, before update 300: scored over updates 80 to 120, a "
+        "scaled window.",
     )
     assert grids.caption(table).startswith(
-        "Median over the evaluations at 66.7 to 100 % of each run, which are the fractions of "
-        "updates 200 to 300 of the median seed (not the experiment's own window)"
+        "66.7 to 100 % of each run, which are the fractions of updates 200 to 300 (not the "
+        "experiment's own window)."
     )
 
 
@@ -364,15 +386,6 @@ def test_a_window_that_is_the_own_one_of_some_runs_only(tmp_path: Path) -> None:
     assert not only_table(tmp_path, "100:300").own_window
 
 
-def test_a_scaled_window_is_offered_only_where_it_shows_something(tmp_path: Path) -> None:
-    write_run(tmp_path, {0: (0.1,) * 3, 3: (0.2,) * 3, 4: (0.3,) * 3}, window=[2, 2])
-    (note,) = only_table(tmp_path).notes
-    assert note.endswith("(the last is at update 4); not counted. window=last shows it.")
-    assert line(only_table(tmp_path, "scaled"), "impala", "rare")["seeds"] == 0
-    (note,) = only_table(tmp_path, "5:6").notes
-    assert "window=scaled" not in note
-
-
 def test_each_runs_own_window_in_one_table(tmp_path: Path) -> None:
     scores = {50: (0.1,) * 3, 100: (0.2,) * 3, 200: (0.4,) * 3, 300: (0.8,) * 3}
     write_run(tmp_path, scores, window=[100, 300])
@@ -386,9 +399,7 @@ def test_each_runs_own_window_in_one_table(tmp_path: Path) -> None:
     assert "| Condition | Seeds | Frames | Window |" in shown
     assert "| 100 to 300 |" in shown
     assert "| 50 to 100, 200 to 200 |" in shown
-    assert grids.caption(table).startswith(
-        "Median over the evaluations at the updates in the column Window of the median seed, ±"
-    )
+    assert grids.caption(table).startswith("The updates in the column Window. Episodes")
     assert panels.window_ends(table, "update") is None
 
 
@@ -550,7 +561,7 @@ def test_an_external_agent_is_a_marked_row_of_its_own(tmp_path: Path) -> None:
     assert np.isnan(external["paper_value"])
     assert table.notes == ()
     assert "†: recorded from outside this package and scored at its last evaluation." in (
-        grids.caption(table)
+        legend([table])
     )
     for name in ("out/report.md", "RESULTS.md"):
         text = (tmp_path / name).read_text(encoding="utf-8")
@@ -595,7 +606,7 @@ def test_external_agents_alone_have_a_table(tmp_path: Path) -> None:
     table = only_table(tmp_path, "1:2")
     assert line(table, "PPO †", "train")["score"] == 0.4
     caption = grids.caption(table)
-    assert caption.startswith("The last evaluation of the median seed, ± median absolute")
+    assert caption.startswith("The last evaluation. Episodes per estimate")
     assert "Updates reached" not in caption
     assert "Frames: 28,672." in caption
 
@@ -675,7 +686,7 @@ def test_figures_of_several_tables_are_counted(
     printed = capsys.readouterr().out
     assert "Wrote runs/report/report.md\n" in printed
     assert "gridworld_learning.png" not in printed
-    for name in ("gridworld", "demo_50_"):
+    for name in ("gridworld", "demo_50"):
         count = len(list((runs / "report").glob(f"{name}_*.png")))
         assert f"Wrote runs/report/{name}_*.png: {count} figures\n" in printed
 
@@ -866,3 +877,46 @@ def test_the_papers_titles_are_those_of_the_conditions() -> None:
 
 def rows_of_paper(split: envs.Split) -> set[str]:
     return set(paper.paper_table(split.paper).rows) if split.paper else set()
+
+
+# --- conditions that are chosen --------------------------------------------------------------
+
+
+def test_chosen_conditions_are_shown_in_their_order(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for condition in ("impala", "r2d2", "impala_mlp", "impala_mlp,agent.discount=0.9"):
+        write_run(tmp_path, constant(0.5), condition=condition)
+    chosen = "r2d2,impala_mlp,agent.discount=0.9,IMPALA"  # a name with a comma, and a title
+    (table,) = report.report([tmp_path], conditions=chosen).tables
+    assert [row.key for row in table.rows] == ["r2d2", "impala_mlp,agent.discount=0.9", "impala"]
+    (table,) = report.report([tmp_path], conditions=["impala_mlp*"]).tables
+    assert [row.key for row in table.rows] == ["impala_mlp", "impala_mlp,agent.discount=0.9"]
+    for option in ("conditions", "highlight"):
+        told = refusal(capsys, str(tmp_path), f"{option}=impala,vmpo")
+        assert "vmpo: no such condition; there are impala, " in told
+
+
+def test_claims_are_checked_on_request(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert report.main([str(runs), "claims=true"]) == 0
+    assert "Claims of the paper" in capsys.readouterr().out
+    assert (runs / "report/claims.csv").exists()
+    assert report.main([str(runs)]) == 0
+    assert "laims" not in capsys.readouterr().out
+    assert "laims" not in (runs / "report/report.md").read_text("utf-8")
+    assert not (runs / "report/claims.csv").exists()
+
+
+def test_titles_do_not_repeat_what_the_table_says(tmp_path: Path) -> None:
+    """And the agent looks the same in both tables."""
+    for exponent, condition in ((2, "impala"), (0, "impala,environment.split=gridworld_zipf_0")):
+        levels = [level("train", f"gridworld/zipf_{exponent}"), *gridworld({})[1:]]
+        split = "gridworld" if exponent == 2 else "gridworld_zipf_0"
+        other = {"levels": levels, "split": split}
+        write_run(tmp_path / split, constant(0.1), condition=condition, **other)
+        write_run(tmp_path / split, constant(0.1), condition="r2d2", **other)
+    found = tables.score_tables(results.load_runs([tmp_path]))
+    assert [[row.title for row in table.rows] for table in found] == [["IMPALA", "R2D2"]] * 2
+    assert {row.agent for table in found for row in table.rows} == {"impala", "r2d2"}
+    names = {"gridworld_split_gridworld", "gridworld_split_gridworld_zipf_0"}
+    assert {table.name for table in found} == names

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
@@ -20,6 +21,8 @@ from run_folders import (
     ROWS,
     SITUATIONS,
     constant,
+    gridworld,
+    labels,
     level,
     only_table,
     picture_of,
@@ -30,8 +33,16 @@ from run_folders import (
 
 from zipf import report
 from zipf.experiments.reporting import markdown, statistics
-from zipf.experiments.reporting.draw_matplotlib import STYLE
-from zipf.experiments.reporting.panels import COLOURS, LineStyle, line_styles
+from zipf.experiments.reporting.draw_matplotlib import STYLE, apart
+from zipf.experiments.reporting.panels import (
+    COLOURS,
+    OTHERS,
+    TOO_NEAR,
+    LineStyle,
+    _distance,
+    line_styles,
+    looks_of,
+)
 from zipf.experiments.reporting.situations import (
     baseline_by_rank,
     baseline_on_uniform,
@@ -50,7 +61,8 @@ def drawn(table: ScoreTable) -> list[Figure]:
 
 def legend(figure: Figure) -> list[str]:
     """The labels, unwrapped."""
-    return [text.get_text().replace("\n", " ") for text in figure.legends[0].get_texts()]
+    texts = [text for one in figure.legends for text in one.get_texts()]
+    return [text.get_text().replace("\n", " ") for text in texts]
 
 
 # --- what is measured at a rank --------------------------------------------------------------
@@ -140,8 +152,7 @@ def test_chance_is_drawn_where_it_has_the_same_unit(
         known = table.baseline(baseline)["uniform"] if drawn else None
         assert baseline_on_uniform(table, "return", baseline) == known
     figure = picture_of(table, "ranks")
-    assert ("Chance (random actions), mean over ranks" in legend(figure)) == drawn
-    assert ("Blind (neither reads nor looks), mean over ranks" in legend(figure)) == drawn
+    assert ("Chance, Blind" in labels(figure)) == drawn  # at 0.048 and 0.05: one line
 
 
 def test_chance_is_drawn_at_each_rank_where_it_is_known(tmp_path: Path) -> None:
@@ -159,7 +170,7 @@ def test_chance_is_drawn_at_each_rank_where_it_is_known(tmp_path: Path) -> None:
     figure = picture_of(table, "ranks")
     of_map, of_target = (axis.lines[-1] for axis in figure.axes)
     np.testing.assert_array_equal(of_map.get_ydata(), [0.2, 0.2])
-    np.testing.assert_array_equal(of_target.get_xdata(), [0, 1])
+    np.testing.assert_array_equal(of_target.get_xdata(), [1, 2])
     np.testing.assert_array_equal(of_target.get_ydata(), [0.1, 0.3])
     several = [*levels, level("uniform", "d", chance=0.2, by_rank={"target": [0.2, 0.2]})]
     write_run(tmp_path / "several", constant(0.5, 4), levels=several, situations=rows)
@@ -188,7 +199,7 @@ def test_rare_ranks_are_those_of_the_rare_level_whichever_they_are(tmp_path: Pat
     assert spans([1, 2, 3, 7]) == [(1, 3), (7, 7)]
     figure = picture_of(table, "ranks")
     shaded = [patch for patch in figure.axes[0].patches if isinstance(patch, Rectangle)]
-    assert [(one.get_x(), one.get_width()) for one in shaded] == [(0.5, 3), (6.5, 1)]
+    assert [(one.get_x(), one.get_width()) for one in shaded] == [(1.5, 3), (7.5, 1)]
 
 
 def test_all_ranks_are_shown(tmp_path: Path) -> None:
@@ -203,8 +214,8 @@ def test_all_ranks_are_shown(tmp_path: Path) -> None:
     assert image is not None
     assert image.shape == (20, 10)
     corners = [frame.get_y(), frame.get_y() + frame.get_height(), frame.get_x()]
-    assert corners == [15.5, 19.5, 7.5]
-    assert [axis.get_xlim() for axis in ranks.axes] == [(-0.5, 19.5), (-0.5, 9.5)]
+    assert corners == [16.5, 20.5, 8.5]
+    assert [axis.get_xlim() for axis in ranks.axes] == [(0.5, 20.5), (0.5, 10.5)]
 
 
 # --- learning curves -------------------------------------------------------------------------
@@ -262,7 +273,7 @@ def test_an_external_agent_is_drawn_against_frames(tmp_path: Path) -> None:
     assert figure is not None
     axis = figure.axes[0]
     assert axis.get_xlabel() == "Frames"
-    assert legend(figure)[:2] == ["IMPALA", "PPO †"]
+    assert {"IMPALA", "PPO †"} <= set(labels(figure))
     own, external = axis.lines[:2]
     np.testing.assert_array_equal(own.get_xdata(), [409_600, 819_200, 1_228_800])
     np.testing.assert_array_equal(external.get_xdata(), [3 * 4096, 7 * 4096])
@@ -413,13 +424,14 @@ def test_only_the_plots_of_the_earlier_report_are_removed(tmp_path: Path) -> Non
     write_run(tmp_path / "b", constant(0.5), environment={"num_maps": 5})
     output = tmp_path / "out"
     report.report([tmp_path], output)
-    assert (output / "gridworld-2_learning.png").exists()
+    assert (output / "gridworld_num_maps_20_learning.png").exists()
     (output / "my_learning.png").write_text("")
     report.report([tmp_path / "b"], output)
     assert sorted(path.name for path in output.glob("*.png")) == [
         "gridworld_averages.png",
-        "gridworld_hours.png",
         "gridworld_learning.png",
+        "gridworld_scores.png",
+        "gridworld_time.png",
         "my_learning.png",
     ]
 
@@ -473,3 +485,70 @@ def test_matplotlib_is_imported_whatever_it_is_set_to(
     )
     assert (told in made.stderr, bool(made.returncode)) == (True, bool(told)), made.stderr
     assert "Traceback" not in made.stderr
+
+
+# --- many rows -------------------------------------------------------------------------------
+
+
+def test_the_best_of_many_rows_are_in_colour_by_what_may_be_chosen_by(tmp_path: Path) -> None:
+    """By validation where there is one, else by training; never by what is reported."""
+    with_validation = [*gridworld(), level("validation", "v")]
+    for number in range(8):
+        others = (number / 10, 1 - number / 10, 1 - number / 10)
+        write_run(tmp_path / "a", {200: others}, condition=f"c{number}")
+        scores = {200: (*others, 1 - number / 10)}
+        more = {"levels": with_validation, "experiment": "validated"}
+        write_run(tmp_path / "b", scores, condition=f"c{number}", **more)
+    trained, validated = (only_table(tmp_path / one) for one in "ab")
+    looks = looks_of([trained, validated])
+    assert looks.coloured["gridworld"] == [f"c{number}" for number in range(2, 8)]
+    assert looks.rule["gridworld"] == "the 6 best by training score"
+    assert looks.coloured["validated"] == [f"c{number}" for number in range(6)]
+    assert looks.rule["validated"] == "the 6 best by validation score"
+    figure = picture_of(trained, "learning")
+    assert "2 others (in colour: the 6 best by training score)" in legend(figure)
+    assert {"c2", "c7"} <= set(labels(figure))
+    assert not {"c0", "c1"} & set(labels(figure))
+    chosen = looks_of([trained], ["c0", "c7"])
+    assert chosen.coloured["gridworld"] == ["c0", "c7"]
+    assert chosen.of(trained, trained.rows[1]).colour == OTHERS
+    assert len({chosen.styles[one].colour for one in ("c0", "c7")}) == 2
+
+
+def test_rows_in_colour_are_told_apart(tmp_path: Path) -> None:
+    """Imitation's own blue is nearly IMPALA's."""
+    for condition in ("impala", "imitation"):
+        write_run(tmp_path, constant(0.5), condition=condition)
+    table = only_table(tmp_path)
+    styles = looks_of([table]).styles
+    assert styles["impala"].colour == ROWS["impala"]["colour"].upper()
+    assert _distance(styles["impala"].colour, styles["imitation"].colour) > TOO_NEAR
+
+
+def test_a_pretrained_agents_curve_begins_at_the_frames_it_inherited(tmp_path: Path) -> None:
+    there = {"experiment": "gridworld", "condition": "impala", "seed": 0, "update": 300}
+    there |= {"frames": 1_000_000, "parts": ["encoder"]}
+    write_run(tmp_path, constant(0.5))
+    write_run(tmp_path, constant(0.6), condition="r2d2", pretrained=there)
+    figure = picture_of(only_table(tmp_path), "learning")
+    assert figure.axes[0].get_xlabel() == "Frames"
+    own, pretrained = figure.axes[0].lines[:2]
+    np.testing.assert_array_equal(own.get_xdata(), [409_600, 819_200, 1_228_800])
+    np.testing.assert_array_equal(pretrained.get_xdata(), [1_409_600, 1_819_200, 2_228_800])
+
+
+def test_labels_do_not_lie_on_each_other() -> None:
+    places = apart([0.5, 0.5, 0.52, 1.0, 1.0], [0.1] * 5)
+    assert all(high - low > 0.0999 for low, high in itertools.pairwise(places))
+    assert max(places) < 1
+    assert apart([0.2, 0.8], [0.1, 0.1]) == [0.2, 0.8]
+
+
+def test_lines_at_one_have_room_above(tmp_path: Path) -> None:
+    levels = [
+        level(kind, kind, expert=1.0, generalist=1.0) for kind in ("train", "uniform", "rare")
+    ]
+    write_run(tmp_path, constant(0.5), levels=levels)
+    figure = picture_of(only_table(tmp_path), "learning")
+    assert figure.axes[0].get_ylim()[1] > 1.04
+    assert "Generalist, Expert" in labels(figure)  # one line, not two on each other

@@ -250,7 +250,7 @@ def test_a_run_without_evaluations_is_noted(tmp_path: Path) -> None:
     (folder / "metrics.csv").write_text("update,frames,seconds,loss\n10,40960,5.0,nan\n")
     table = only_table(tmp_path)
     assert line(table, "impala", "train")["seeds"] == 1
-    assert table.notes == (f"{folder.as_posix()}: no evaluation yet; not counted.",)
+    assert table.notes == ("IMPALA, seed 1: no evaluation yet; not counted.",)
     assert "Updates reached: 10 to 300; frames: 40,960 to 1,228,800." in grids.caption(table)
 
 
@@ -260,7 +260,7 @@ def test_a_missing_level_is_noted(tmp_path: Path) -> None:
     kept = [line for line in path.read_text().splitlines() if ",rare," not in line]
     path.write_text("\n".join(kept) + "\n")
     table = only_table(tmp_path)
-    assert table.notes == (f"{folder.as_posix()}: no evaluation of rare; not counted there.",)
+    assert table.notes == ("IMPALA, seed 0: no evaluation of rare; not counted there.",)
     assert "| IMPALA | 0/3 | 0.50 |" in markdown.markdown(table)
 
 

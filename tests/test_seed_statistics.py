@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from pathlib import Path
 
@@ -10,7 +11,8 @@ import pytest
 from run_folders import SITUATIONS, constant, only_table, write_external, write_run
 
 from zipf.experiments.reporting import latex, markdown, seed_statistics, statistics
-from zipf.experiments.reporting.html import Text, report_sections
+from zipf.experiments.reporting.html import Notes, report_sections
+from zipf.experiments.reporting.panels import looks_of
 from zipf.experiments.reporting.situations import rates_by_visits, shares
 
 
@@ -84,7 +86,7 @@ def test_known_probabilities_of_improvement() -> None:
 
 def shown(folder: Path) -> str:
     table = only_table(folder)
-    found = seed_statistics.seed_statistics(table, seed_statistics.statistics_frame(table))
+    found = seed_statistics.seed_statistics(table)
     latex.latex_report([table], [found])
     return markdown.markdown_report([table], {}, (), [found])
 
@@ -101,10 +103,11 @@ def test_statistics_in_the_report(tmp_path: Path) -> None:
     assert "| R2D2 | 1.00 [1.00, 1.00] | 1.00 [1.00, 1.00] | 1.00 [1.00, 1.00] |" in text
     assert "| IMPALA + MLP | needs 2 seeds |" in text
     table = only_table(tmp_path)
-    frame = seed_statistics.statistics_frame(table)
+    found = seed_statistics.seed_statistics(table)
+    frame = found.frame
     assert set(frame["statistic"]) == {seed_statistics.IQM, seed_statistics.IMPROVEMENT}
     assert len(frame) == 3 * (2 + 1)  # kinds; two rows of several seeds, one pair
-    written = seed_statistics.csv_statistics([frame, frame[:0]])
+    written = seed_statistics.csv_statistics([found, dataclasses.replace(found, frame=frame[:0])])
     assert written.startswith(",".join(seed_statistics.STATISTICS_COLUMNS))
 
 
@@ -156,7 +159,7 @@ def test_one_seed_has_one_sentence(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5))
     text = shown(tmp_path)
     assert text.split("## Further statistics\n")[1].strip() == (
-        "Not of gridworld: an interquartile mean needs 2 seeds of a condition, and how often "
+        "- Not of gridworld: an interquartile mean needs 2 seeds of a condition, and how often "
         "training met a situation was not recorded."
     )
 
@@ -164,14 +167,13 @@ def test_one_seed_has_one_sentence(tmp_path: Path) -> None:
 def test_the_page_says_the_same_of_an_external_agent_alone(tmp_path: Path) -> None:
     write_external(tmp_path, {7: (0.3,) * 3})
     found = [only_table(tmp_path)]
-    frame = seed_statistics.statistics_frame(found[0])
-    statistics = [seed_statistics.seed_statistics(found[0], frame)]
+    statistics = [seed_statistics.seed_statistics(found[0])]
     (section,) = (
         section
-        for section in report_sections(found, (), statistics)
+        for section in report_sections(statistics, looks_of(found))
         if section.title == "Statistics across seeds"
     )
-    assert section.blocks == [Text(seed_statistics.without_statistics(statistics))]
+    assert section.blocks == [Notes(tuple(seed_statistics.reading(statistics)))]
 
 
 COUNTED = f"{SITUATIONS},visits,visits_map,visits_target"

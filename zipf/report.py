@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from zipf.experiments.reporting.claims import ClaimLine
+    from zipf.experiments.reporting.panels import Looks
     from zipf.experiments.reporting.seed_statistics import SeedStatistics
     from zipf.experiments.reporting.tables import ScoreTable
     from zipf.experiments.reporting.windows import Asked
@@ -58,12 +59,17 @@ Options:
                     experiment at the same fractions of a shorter run, or own: that of each run, in
                     one table also where they differ; default: the window of the experiment, and a
                     table for each
+    conditions=NAMES  the conditions to show, in this order: names or titles, with * for anything,
+                    such as impala,r2d2*; default: all
+    highlight=NAMES   the conditions drawn in colour over grey ones; default: all of up to six, else
+                    the six best by validation score, or by training score where there is none
+    claims=true     also check what the paper claims; default: false
     record=FILE     also write all tables, a description of each run, and the Markdown files of the
                     folders to this Markdown file; default: no such file
     format=FORMAT   of the plots: png, pdf or svg; default: png
-    html=FILE       also write tables, interactive plots, options and videos to one page of about
-                    5 MB, which needs no other file and no network; true: report.html beside
-                    report.md; default: no page
+    html=FILE       also write tables, plots, options and videos to one page, which needs no other
+                    file and no network; true: report.html beside report.md; default: no page, but
+                    a report.html that is there already is written anew
     videos=FORMAT   before, let the agent of each run's checkpoint play, and record a success and a
                     failure in its most frequent situation and in its rarest, into the run's
                     folder, as gif or mp4; the page of html=, which it implies, shows the videos
@@ -78,6 +84,9 @@ class ReportOptions(Options):
 
     output: Text | None = None
     window: str | None = None
+    conditions: Text | None = None
+    highlight: Text | None = None
+    claims: bool = False
     record: Text | None = None
     format: PlotFormat = "png"
     html: Text | None = None
@@ -92,7 +101,7 @@ class Report:
     Attributes:
         tables: one for each experiment; more where runs of an experiment cannot be compared.
         files: that were written, in the order in which they should be shown.
-        claims: of the paper, with what the tables say about each.
+        claims: of the paper, with what the tables say about each; none unless asked for.
         statistics: across seeds, of each table.
     """
 
@@ -100,6 +109,7 @@ class Report:
     files: tuple[Path, ...]
     claims: tuple[ClaimLine, ...]
     statistics: tuple[SeedStatistics, ...]
+    _looks: Looks
 
     def __repr__(self) -> str:
         runs = sum(len(table.runs) for table in self.tables)
@@ -119,7 +129,7 @@ class Report:
         from zipf.experiments.reporting import draw_matplotlib
 
         with draw_matplotlib.style():
-            drawn = draw_matplotlib.figures(self.tables)
+            drawn = draw_matplotlib.figures(self.statistics, self._looks)
             return {f"{table}_{kind}": figure for table, kind, figure in drawn}
 
     def _repr_html_(self) -> str:
@@ -145,6 +155,9 @@ def report(
     output: str | Path | None = None,
     window: str | None = None,
     *,
+    conditions: str | Sequence[str] | None = None,
+    highlight: str | Sequence[str] | None = None,
+    claims: bool = False,
     record: str | Path | None = None,
     format: PlotFormat = "png",
     html: str | Path | None = None,
@@ -163,35 +176,45 @@ def report(
             not written.
         window: `START:END` in updates, `last`, `last:N`, `scaled` or `own`; each experiment's own
             if None.
+        conditions: those to show, in this order: names or titles, in which * stands for anything;
+            a text is a list with commas. All if None.
+        highlight: conditions that are drawn in colour over grey ones; see `looks_of` if None.
+        claims: whether to check what the paper claims.
         record: also write all tables, and what each run was, to this Markdown file; and after them
             the Markdown files in `folders` themselves, not further down.
         format: of the plots.
-        html: also write everything, with interactive plots, to this file, a page that needs no
-            other; "" is `report.html` in `output`, or in the current folder.
+        html: also write everything to this file, a page that needs no other; "" is `report.html`
+            in `output`, or in the current folder. One in `output` that is there already is written
+            anew in any case.
         show: also print the tables, and which files were written.
 
     Raises:
-        UserError: no run there, a damaged file, an unknown window, a page whose name does not end
-            in .html, or a file cannot be read or written.
+        UserError: no run there, a damaged file, an unknown window or condition, a page whose name
+            does not end in .html, or a file cannot be read or written.
     """
     from zipf.experiments.records import results
     from zipf.experiments.reporting import draw_matplotlib, latex, markdown, tables, terminal
     from zipf.experiments.reporting.claims import check_claims, csv_claims
-    from zipf.experiments.reporting.seed_statistics import (
-        csv_statistics,
-        seed_statistics,
-        statistics_frame,
-    )
+    from zipf.experiments.reporting.comparable import chosen_runs, split_names
+    from zipf.experiments.reporting.panels import looks_of
+    from zipf.experiments.reporting.seed_statistics import csv_statistics, seed_statistics
     from zipf.experiments.reporting.side_by_side import side_by_side
 
     chosen = _checked(window, html)
     folders = [folders] if isinstance(folders, str | Path) else folders
     target = None if output is None else Path(output)
-    found = tables.score_tables(results.load_runs(folders), chosen)
+    runs, order = results.load_runs(folders), list[str]()
+    if conditions is not None:
+        names = split_names(conditions, runs) if isinstance(conditions, str) else conditions
+        runs, order = chosen_runs(runs, names)
+    if highlight is not None:
+        names = split_names(highlight, runs) if isinstance(highlight, str) else highlight
+        highlight = chosen_runs(runs, names)[1]
+    found = tables.score_tables(runs, chosen, order)
     pages = (
         [] if record is None else _pages(folders, [(target or Path()) / "report.md", Path(record)])
     )
-    claims = check_claims(found)
+    checked = check_claims(found) if claims else []
     if show:
         shown = console()
         for table in found:
@@ -201,32 +224,39 @@ def report(
             if len(beside.tables) > 1:  # the others would be printed a second time
                 terminal.print_side_by_side(beside, shown)
                 shown.print()
-        terminal.print_claims(claims, shown)
-    frames = [statistics_frame(table) for table in found]
-    statistics = [seed_statistics(table, frame) for table, frame in zip(found, frames, strict=True)]
+        terminal.print_legend(found, shown)
+        terminal.print_claims(checked, shown)
+    statistics = [seed_statistics(table) for table in found]
+    looks = looks_of(found, highlight or ())
 
     texts: dict[Path, str] = {}
     drawn: dict[str, list[Path]] = {}
     try:
         if target is not None:
             target.mkdir(parents=True, exist_ok=True)
-            _remove_earlier_plots(target)
-            drawn = draw_matplotlib.draw(found, target, format)
+            _remove_earlier(target)
+            drawn = draw_matplotlib.draw(statistics, looks, target, format)
             texts = {
-                target / "report.md": markdown.markdown_report(found, drawn, claims, statistics),
+                target / "report.md": markdown.markdown_report(found, drawn, checked, statistics),
                 target / "report.tex": latex.latex_report(found, statistics),
                 target / "report.csv": tables.csv_report(found),
-                target / "claims.csv": csv_claims(claims),
-                target / "statistics.csv": csv_statistics(frames),
+                target / "statistics.csv": csv_statistics(statistics),
             }
+            if claims:
+                texts[target / "claims.csv"] = csv_claims(checked)
         if record is not None:
-            command = _command(folders, output, window, record)
-            texts[Path(record)] = markdown.record(found, command, pages, claims, statistics)
-        if html is not None:
+            command = _command(folders, output, window, claims, record)
+            texts[Path(record)] = markdown.record(found, command, pages, checked, statistics)
+        # A page that is older than the tables beside it would be another report's.
+        beside_tables = (target or Path()) / "report.html"
+        page_files = {Path(html) if html else beside_tables} if html is not None else set()
+        if target is not None and beside_tables.exists():
+            page_files.add(beside_tables)
+        if page_files:
             from zipf.experiments.reporting.html import page, report_sections
 
-            place = Path(html) if html != "" else (target or Path()) / "report.html"
-            texts[place] = page(report_sections(found, claims, statistics))
+            text = page(report_sections(statistics, looks, checked))
+            texts |= dict.fromkeys(sorted(page_files), text)
         for path, text in texts.items():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
@@ -243,7 +273,7 @@ def report(
         ]
     for line in written if show else ():
         shown.print(f"Wrote {line}", markup=False, soft_wrap=True)
-    return Report(tuple(found), files, tuple(claims), tuple(statistics))
+    return Report(tuple(found), files, tuple(checked), tuple(statistics), looks)
 
 
 def _pages(folders: Sequence[str | Path], written: Collection[Path]) -> list[str]:
@@ -273,24 +303,32 @@ def _checked(window: str | None, html: str | Path | None) -> Asked | None:
     return parse_window(window) if window is not None else None
 
 
-def _remove_earlier_plots(folder: Path) -> None:
-    """Remove the plots that the report in `folder`, if there is one, says are its own."""
+def _remove_earlier(folder: Path) -> None:
+    """Remove the plots that the report in `folder`, if there is one, says are its own, and its
+    claims."""
     from zipf.experiments.reporting.markdown import linked_plots
 
     earlier = folder / "report.md"
     if earlier.is_file():
         for name in linked_plots(earlier.read_text(encoding="utf-8", errors="replace")):
             (folder / name).unlink(missing_ok=True)
+        (folder / "claims.csv").unlink(missing_ok=True)
 
 
 def _command(
-    folders: Sequence[str | Path], output: str | Path | None, window: str | None, record: str | Path
+    folders: Sequence[str | Path],
+    output: str | Path | None,
+    window: str | None,
+    claims: bool,
+    record: str | Path,
 ) -> str:
     arguments = [Path(folder).as_posix() for folder in folders]
     if output is not None and Path(output) != _usual_output(folders):
         arguments.append(f"output={Path(output).as_posix()}")
     if window is not None:
         arguments.append(f"window={window}")
+    if claims:
+        arguments.append("claims=true")
     arguments.append(f"record={Path(record).as_posix()}")
     return shlex.join(["python", "-m", "zipf.report", *arguments])
 
@@ -328,6 +366,9 @@ def _report(words: list[str]) -> None:
         folders,
         options.output or _usual_output(folders),
         options.window,
+        conditions=options.conditions,
+        highlight=options.highlight,
+        claims=options.claims,
         record=options.record,
         format=options.format,
         html=html,

@@ -9,10 +9,11 @@ own there, never pooled with runs of this package.
 
 from __future__ import annotations
 
+import fnmatch
 import json
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +29,8 @@ from zipf.protocol import PAPER_KINDS
 class Row:
     """A row of a table: the runs of a condition, or of an external agent."""
 
-    key: str  # unique among the rows of a report
+    key: str  # unique among the rows of a table
+    agent: str  # the same in tables of other environments: what looks alike in all of them
     title: str  # as tables and plots show it; an external agent's ends in a mark
     external: bool  # whether it was recorded from outside this package
     colour: str | None  # as #rrggbb; None if it is to be assigned
@@ -49,19 +51,31 @@ class PaperRow:
     title: str  # as tables show it
 
 
-def rows_of(runs: Sequence[Run]) -> tuple[Row, ...]:
-    """The rows of a table of these runs, in their order."""
+def rows_of(runs: Sequence[Run], title: str = "", order: Sequence[str] = ()) -> tuple[Row, ...]:
+    """The rows of a table of these runs: in the order of these conditions, then in their own.
+    Options of environments that the table's title has are not in those of rows again."""
     by_key: dict[str, list[Run]] = {}
-    for run in sorted(runs, key=lambda run: run.description.row_order):
+    places = {condition: place for place, condition in enumerate(order)}
+
+    def place(run: Run) -> tuple[Any, ...]:
+        return places.get(run.description.condition, len(places)), run.description.row_order
+
+    for run in sorted(runs, key=place):
         by_key.setdefault(run.description.row_key, []).append(run)
+    agents = {key: _without_environment(key, ",") for key in by_key}
+    known = re.split(r"[ (),]+", title)
     rows = []
     for key, of_row in by_key.items():
         description = of_row[0].description
         external = description.external is not None
+        alone = list(agents.values()).count(agents[key]) == 1
+        name = description.row.title
+        name = _without_environment(name, ", ", known) if alone else name
         rows.append(
             Row(
                 key=key,
-                title=description.row.title + (f" {EXTERNAL_MARK}" if external else ""),
+                agent=agents[key] if alone else key,
+                title=name + (f" {EXTERNAL_MARK}" if external else ""),
                 external=external,
                 colour=description.row.colour,
                 line=description.row.line,
@@ -69,6 +83,18 @@ def rows_of(runs: Sequence[Run]) -> tuple[Row, ...]:
             )
         )
     return tuple(rows)
+
+
+def _without_environment(text: str, separator: str, known: Collection[str] | None = None) -> str:
+    """A condition's name or title without the options of environments, or only without those with
+    one of these values."""
+    kept = [
+        part
+        for part in text.split(separator)
+        if not part.startswith("environment.")
+        or (known is not None and part.partition("=")[2] not in known)
+    ]
+    return separator.join(kept)
 
 
 @dataclass(frozen=True)
@@ -110,6 +136,38 @@ def value_text(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{','.join(value_text(item) for item in value)}]"
     return str(value)
+
+
+def chosen_runs(runs: Sequence[Run], names: Sequence[str]) -> tuple[list[Run], list[str]]:
+    """The runs of these conditions, and the conditions in the order of `names`: names or titles of
+    conditions, in which * stands for anything.
+    Raises UserError: a name is of no condition of these runs."""
+    known: dict[str, str] = {}  # conditions, by title as well
+    for run in runs:
+        known[run.description.condition] = run.description.condition
+        known.setdefault(run.description.row.title, run.description.condition)
+    found: list[str] = []
+    for name in names:
+        matching = [known[one] for one in known if fnmatch.fnmatchcase(one.lower(), name.lower())]
+        if not matching:
+            there = ", ".join(dict.fromkeys(known.values()))
+            raise UserError(f"{name}: no such condition; there are {there}")
+        found += matching
+    order = list(dict.fromkeys(found))
+    return [run for run in runs if run.description.condition in order], order
+
+
+def split_names(text: str, runs: Sequence[Run]) -> list[str]:
+    """A list of conditions as it is written on a command line. Names may have commas themselves:
+    as many parts as make the name of a condition of these runs belong together."""
+    known = {run.description.condition for run in runs}
+    parts, names = text.strip("[]").split(","), []
+    while parts:
+        lengths = range(len(parts), 1, -1)
+        length = next((n for n in lengths if ",".join(parts[:n]).strip() in known), 1)
+        names.append(",".join(parts[:length]).strip())
+        parts = parts[length:]
+    return names
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +214,8 @@ def group_runs(runs: Sequence[Run], window: Asked | None) -> list[RunGroup]:
             for other in by_key.values()
             if other[0].description.experiment == experiment
         ]
-        name = _unused_name(experiment, [group.name for group in groups])
         title = _title(experiment, _identity(group[0], window), siblings)
+        name = _unused_name(title, [group.name for group in groups])
         groups.append(RunGroup(name, title, tuple(group)))
     return groups
 
@@ -223,6 +281,8 @@ def _title(experiment: str, identity: dict[str, Any], siblings: list[dict[str, A
     # Options that only some runs tell are named only where the others do not tell groups apart.
     if not _tell_apart(names, siblings):
         names = _differing(given, siblings)
+        # One that tells all apart says as much as all that differ.
+        names = next(([name] for name in names if _tell_apart([name], siblings)), names)
     # The names of all levels are long; a split's name tells as much where each has its own levels.
     others = [name for name in names if name != "levels"]
     if _tell_apart(others, siblings):
@@ -249,8 +309,9 @@ def _tell_apart(names: Sequence[str], siblings: Sequence[dict[str, Any]]) -> boo
     return len(values) == len(siblings)
 
 
-def _unused_name(experiment: str, used: list[str]) -> str:
-    name = re.sub(r"[^\w.-]", "_", experiment)
+def _unused_name(title: str, used: list[str]) -> str:
+    """A title as a name of files."""
+    name = re.sub(r"[^\w.-]+", "_", title.replace(":", "-"))[:80].strip("_.")
     numbered = (f"{name}-{number}" for number in range(2, len(used) + 3))
     return name if name not in used else next(other for other in numbered if other not in used)
 

@@ -27,17 +27,26 @@ from zipf.experiments.reporting.comparable import PaperRow, Row
 from zipf.experiments.reporting.scores import other_statistic
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
-from zipf.experiments.reporting.windows import OwnWindows, ScaledWindow, UpdateWindow, window_text
+from zipf.experiments.reporting.windows import OwnWindows, UpdateWindow, window_text
 from zipf.protocol import BASELINES, Baseline
 
 PLAIN_MEAN = "plain mean"
+LAST_MARK = "*"
+LEVEL = "Level"  # the first heading of a table whose lines are levels
 
 
 def caption(table: ScoreTable) -> str:
-    """Window, statistics, effort, baselines, the paper."""
-    sentences = _statistics(table)
-    if (table.scores["seeds"] < PROTOCOL_SEEDS).any():
-        sentences.append(f"n/{PROTOCOL_SEEDS}: fewer seeds than the protocol's {PROTOCOL_SEEDS}.")
+    """What is a table's own: window, effort, the paper."""
+    window = table.window
+    what = window_text(window)
+    if isinstance(window, OwnWindows):
+        what = "the updates in the column Window"
+    sentences = [f"{what[0].upper()}{what[1:]}."]
+    if table.unreached is not None:
+        what = window_text(table.unreached)
+        sentences = [f"No run has reached its window, {what}: the last evaluation of each."]
+    elif not table.own_window:
+        sentences = [f"{sentences[0][:-1]} (not the experiment's own window)."]
     if table.episodes:
         sentences.append(f"Episodes per estimate: {range_text(table.episodes)}.")
     own = [run for row in table.rows if not row.external for run in row.runs]
@@ -48,24 +57,77 @@ def caption(table: ScoreTable) -> str:
         )
     elif table.frames:
         sentences.append(f"Frames: {range_text(list(table.frames.values()))}.")
-    if table.budgets_differ:
-        sentences.append("The column Frames has the training frames behind a row's scores.")
-    if any(row.external for row in table.rows):
-        sentences.append(
-            f"{EXTERNAL_MARK}: recorded from outside this package and scored at its last "
-            f"evaluation."
-        )
-    for one in BASELINES:
-        if table.baseline(one.name):
-            measured = ""
-            if episodes := table.baseline_episodes(one.name):
-                measured = f", measured over {range_text(episodes)} episodes of each level"
-            sentences.append(f"{one.title}: {one.meaning}{measured}.")
     if table.paper:
         sentences.append(f"Paper: {table.paper.source}, ± {table.paper.error_kind}.")
         if table.paper.note:
             sentences.append(table.paper.note)
     return " ".join(sentences)
+
+
+def short_caption(table: ScoreTable) -> str:
+    """The least that a table has to say by itself in a paper."""
+    spread = (
+        "standard error across tasks"
+        if table.description.spread == "tasks"
+        else "median absolute deviation across seeds"
+    )
+    if table.unreached is not None:
+        return f"Last evaluations (window not reached); median seed ± {spread}."
+    what = window_text(table.window)
+    marked = f" {LAST_MARK}: last evaluation (window not reached)."
+    return f"{what[0].upper()}{what[1:]}; median seed ± {spread}." + (
+        marked if table.scores["marked"].any() else ""
+    )
+
+
+def legend(tables: Sequence[ScoreTable]) -> list[str]:
+    """How to read tables: what they have in common, a sentence each."""
+    sentences = []
+    tasks = [table for table in tables if table.description.spread == "tasks"]
+    seeds = [table for table in tables if table not in tasks]
+    if seeds:
+        sentences.append(
+            "A score is the median over the evaluations in the window, of the median seed, ± "
+            "median absolute deviation across seeds (unscaled)."
+        )
+        if any(len(levels.weights) > 1 for table in seeds for levels in table.kinds):
+            sentences.append("The score of several levels is their mean, weighted by the split.")
+    if tasks:
+        of_tasks = f": {', '.join(table.title for table in tasks)}" if seeds else ""
+        sentences.append(
+            "A score is the median over the evaluations in the window, of the median seed, for "
+            "each level, then the mean over the levels of a kind, weighted by the split, ± "
+            f"standard error across these levels (tasks){of_tasks}."
+        )
+    if any(levels.is_weighted for table in tables for levels in table.kinds):
+        sentences.append(f"In a {PLAIN_MEAN} all levels have the same weight.")
+    if any(table.is_capped for table in tables):
+        sentences.append(
+            "Capped: each level counts as at most 1, the score of a human, before the mean, as is "
+            "the convention on DMLab-30 (Espeholt et al. 2018)."
+        )
+    if any((table.scores["seeds"] < PROTOCOL_SEEDS).any() for table in tables):
+        sentences.append(f"n/{PROTOCOL_SEEDS}: fewer seeds than the protocol's {PROTOCOL_SEEDS}.")
+    if any(table.scores["marked"].any() for table in tables):
+        sentences.append(
+            f"{LAST_MARK}: the window is not reached yet; the score is that of the last "
+            f"evaluation, and not to be compared."
+        )
+    if any(table.budgets_differ for table in tables):
+        sentences.append("The column Frames has the training frames behind a row's scores.")
+    if any(row.external for table in tables for row in table.rows):
+        sentences.append(
+            f"{EXTERNAL_MARK}: recorded from outside this package and scored at its last "
+            f"evaluation."
+        )
+    for one in BASELINES:
+        if any(table.baseline(one.name) for table in tables):
+            episodes = [n for table in tables for n in table.baseline_episodes(one.name)]
+            measured = (
+                f", measured over {range_text(episodes)} episodes of each level" if episodes else ""
+            )
+            sentences.append(f"{one.title}: {one.meaning}{measured}.")
+    return sentences
 
 
 def side_by_side_caption(beside: SideBySide) -> str:
@@ -103,40 +165,6 @@ def claims_caption(lines: Sequence[ClaimLine]) -> str:
     if without:
         sentences.append(f"Not enough data, with no score at hand: {', '.join(without)}.")
     return " ".join(sentences)
-
-
-def _statistics(table: ScoreTable) -> list[str]:
-    window = table.window
-    what = window_text(window)
-    if isinstance(window, UpdateWindow | ScaledWindow):
-        what = f"Median over the evaluations at {what}"
-    elif isinstance(window, OwnWindows):
-        what = "Median over the evaluations at the updates in the column Window"
-    elif window.count > 1:
-        what = f"Median over {what}"
-    what = f"{what[0].upper()}{what[1:]}"
-    own = "" if table.own_window else " (not the experiment's own window)"
-    weighted = any(levels.is_weighted for levels in table.kinds)
-    mean = "weighted mean" if weighted else "mean"
-    if table.description.spread == "tasks":
-        sentences = [
-            f"{what} of the median seed{own} for each level, then the {mean} over the levels of a "
-            f"kind, ± standard error across these levels (tasks)."
-        ]
-    else:
-        sentences = [
-            f"{what} of the median seed{own}, ± median absolute deviation across seeds (unscaled)."
-        ]
-        if any(len(levels.weights) > 1 for levels in table.kinds):
-            sentences.append(f"The score of several levels is their {mean}.")
-    if weighted:
-        sentences.append(f"In a {PLAIN_MEAN} all levels have the same weight.")
-    if table.is_capped:
-        sentences.append(
-            "Capped: each level counts as at most 1, the score of a human, before the mean, as is "
-            "the convention on DMLab-30 (Espeholt et al. 2018)."
-        )
-    return sentences
 
 
 MOST_COLUMNS = 5  # of scores, as many as fit a page; more levels than that become lines
@@ -299,7 +327,7 @@ def _by_level(
     name: str,
 ) -> Grid:
     """A line for each group of levels, a column for each row of the table."""
-    leading = ["Level"]
+    leading = [LEVEL]
     if levels.is_weighted:
         leading.append("Weight")
     leading += [one.title for one in baselines]
@@ -308,7 +336,7 @@ def _by_level(
     lines = []
     for group, shown in zip(groups, _names(groups), strict=True):
         cells = {
-            "Level": shown,
+            LEVEL: shown,
             "Weight": f"{sum(group.weights.values()) / total:.3f}",
             **{one.title: score_text(known[one.name][group.column]) for one in baselines},
         }
@@ -325,10 +353,13 @@ def _names(groups: Sequence[LevelGroup]) -> list[str]:
 
 
 def _line(leading: list[str], scores: pd.DataFrame) -> Line:
-    ours = zip(scores["score"], scores["error"], strict=True)
+    marked = scores["marked"].eq(True)
+    ours = zip(scores["shown"], scores["shown_error"], marked, strict=True)
     paper = zip(scores["paper_value"], scores["paper_error"], strict=True)
     return Line(
-        leading, [score_text(*pair) for pair in ours], [score_text(*pair) for pair in paper]
+        leading,
+        [score_text(score, error) + f" {LAST_MARK}" * mark for score, error, mark in ours],
+        [score_text(*pair) for pair in paper],
     )
 
 

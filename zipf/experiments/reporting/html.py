@@ -1,47 +1,46 @@
 """The report as one HTML page, which needs no other file, no server and no network.
 
 A page is a list of sections, a section a list of blocks; `templates/report.html.jinja` has a macro
-for each kind of block. All text is escaped. A policy in the page's head allows the page's own two
-scripts by their checksums and nothing from elsewhere.
+for each kind of block. All text is escaped. Figures are pictures within the page. A policy in the
+page's head allows the page's own script by its checksum and nothing from elsewhere.
 """
 
 from __future__ import annotations
 
 import base64
 import hashlib
-import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import yaml
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from zipf.experiments.records import video_files
 from zipf.experiments.records.results import Run
 from zipf.experiments.records.wording import count_text, duration_text, seeds_list
 from zipf.experiments.reporting.claims import ClaimLine
 from zipf.experiments.reporting.comparable import differences
-from zipf.experiments.reporting.draw_plotly import dash, specification
+from zipf.experiments.reporting.draw_matplotlib import PAGE_COLOURS, inline, parts, style
 from zipf.experiments.reporting.glossary import GLOSSARY
 from zipf.experiments.reporting.grids import (
     Grid,
     caption,
     claims_caption,
+    legend,
     lower_grids,
     main_grid,
     side_by_side_caption,
     side_by_side_grids,
 )
 from zipf.experiments.reporting.markdown import CLAIM_HEADER, RUN_COLUMNS, claim_cells, run_cells
-from zipf.experiments.reporting.panels import Chart, LineStyle, charts, legend, line_styles
-from zipf.experiments.reporting.seed_statistics import SeedStatistics, without_statistics
+from zipf.experiments.reporting.panels import Chart, Looks, charts
+from zipf.experiments.reporting.seed_statistics import SeedStatistics, reading
 from zipf.experiments.reporting.side_by_side import side_by_side
-from zipf.experiments.reporting.tables import Row, ScoreTable
-
-SHOWN = ("learning", "ranks", "frequency", "visits")  # the figures of a page
+from zipf.experiments.reporting.tables import Row
 
 
 @dataclass(frozen=True)
@@ -72,23 +71,27 @@ class Cells:
     baselines: Sequence[Sequence[str]] = ()  # lines apart from the others
     paper: frozenset[int] = frozenset()  # the places of the columns with the paper's numbers
     leading: int = 1  # how many columns hold text, from the left
+    colours: Sequence[str] = ()  # of the agents of its lines, as figures have them; empty for none
     folded: bool = False  # whether the reader has to open it
 
 
 @dataclass(frozen=True)
-class Figures:
-    """Panels with one legend."""
+class Figure:
+    """Pictures that belong together, side by side or one below the other."""
 
-    kind: ClassVar[str] = "figures"
-    name: str  # unique in a page
-    # a title, a caption and panels each; of a panel its name, unique in a page, what it shows, for
-    # those who do not see it, and what is drawn
-    groups: Sequence[tuple[str, str, Sequence[tuple[str, str, Mapping[str, Any]]]]]
-    # key, title, colour and dashes of its lines; a reader can hide them one by one
-    legend: Sequence[tuple[str, str, str, str]]
-    # the choices of the horizontal axis by their key; empty where there is none
-    axes: Mapping[str, str]
-    axis: str  # the one chosen first
+    kind: ClassVar[str] = "figure"
+    title: str
+    pictures: Sequence[tuple[str, Markup]]  # what each shows, for those who do not see it, and it
+    note: str
+    wide: bool  # whether a picture is as wide as the page
+
+
+@dataclass(frozen=True)
+class Lines:
+    """The rows of the figures after it, which a reader can hide one by one."""
+
+    kind: ClassVar[str] = "lines"
+    rows: Sequence[tuple[str, str, str]]  # key, title and colour
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,7 @@ class RunDetails:
     configuration: str
 
 
-Block = Text | Notes | Cells | Figures | Clips | RunDetails
+Block = Text | Notes | Cells | Figure | Lines | Clips | RunDetails
 
 
 @dataclass(frozen=True)
@@ -131,15 +134,17 @@ class Section:
 
 
 def report_sections(
-    tables: Sequence[ScoreTable],
-    claims: Sequence[ClaimLine] = (),
-    statistics: Sequence[SeedStatistics] = (),
+    statistics: Sequence[SeedStatistics], looks: Looks, claims: Sequence[ClaimLine] = ()
 ) -> list[Section]:
-    """The sections of a report: one for each table, then the paper's layouts, its claims,
-    statistics across seeds, what all runs differ in, where there are several tables, and the
-    glossary. Raises UserError: a run's configuration or a video cannot be read."""
-    styles = line_styles([row for table in tables for row in table.rows])
-    sections = [table_section(table, styles) for table in tables]
+    """The sections of a report: one for each table, then how to read them, the paper's layouts, its
+    claims, statistics across seeds, what all runs differ in, where there are several tables, and
+    the glossary. Raises UserError: a run's configuration or a video cannot be read."""
+    with style():
+        sections = [
+            table_section(one, looks, f"t{number}") for number, one in enumerate(statistics)
+        ]
+    tables = [one.table for one in statistics]
+    sections.append(Section("How to read the tables", (Notes(tuple(legend(tables))),)))
     for beside in side_by_side(tables):
         grids = [cells_of(grid) for grid in side_by_side_grids(beside)]
         title = grids[0].title if len(grids) == 1 else "Side by side"
@@ -147,16 +152,13 @@ def report_sections(
     if cells := claim_cells(claims):
         shown = Cells("Claims", CLAIM_HEADER, cells, leading=len(CLAIM_HEADER))
         sections.append(Section("Claims of the paper", (shown, Text(claims_caption(claims)))))
-    if statistics:
-        blocks: list[Block] = []
-        for one in statistics:
-            name = one.table.title
-            blocks += [cells_of(grid, f"{name}: {grid.title}") for grid in one.grids]
-            if one.grids:
-                blocks.append(Text(one.text))
-        if rest := without_statistics(statistics):
-            blocks.append(Text(rest))
-        sections.append(Section("Statistics across seeds", blocks))
+    blocks: list[Block] = [
+        cells_of(grid, f"{one.table.title}: {grid.title}")
+        for one in statistics
+        for grid in one.grids
+    ]
+    blocks.append(Notes(tuple(reading(statistics))))
+    sections.append(Section("Statistics across seeds", blocks))
     if len(tables) > 1:
         every = list(dict.fromkeys(run for table in tables for run in table.runs))
         differing = _differences(every, "Options that differ", True)
@@ -167,8 +169,6 @@ def report_sections(
 
 def page(sections: Sequence[Section]) -> str:
     """The page. It depends on the sections alone."""
-    from plotly.offline import get_plotlyjs
-
     environment = Environment(
         loader=PackageLoader("zipf.experiments.reporting"),
         autoescape=True,
@@ -176,26 +176,33 @@ def page(sections: Sequence[Section]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["script_data"] = _script_data
-    own = _template("report.js")
-    scripts = [get_plotlyjs(), own]
+    environment.filters["breakable"] = breakable
+    script = _template("report.js")
     return environment.get_template("report.html.jinja").render(
         title="Zipfian environments: report",
         sections=sections,
         style=Markup(_template("report.css")),
-        scripts=[Markup(script) for script in scripts],
-        policy=_policy(scripts),
+        script=Markup(script),
+        policy=_policy(script),
     )
 
 
-def table_section(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Section:
-    """Scores, figures and runs of a table."""
-    blocks: list[Block] = [cells_of(main_grid(table), "Scores")]
+def table_section(found: SeedStatistics, looks: Looks, name: str) -> Section:
+    """Scores, figures and runs of a table; `name` is unique in the page."""
+    table = found.table
+    colours = {row.title: looks.styles[row.agent].colour for row in table.rows}
+    blocks: list[Block] = [cells_of(main_grid(table), "Scores", colours=colours)]
     blocks += [cells_of(grid, folded=True) for grid in lower_grids(table)]
     blocks.append(Text(caption(table)))
     if table.notes:
         blocks.append(Notes(table.notes))
-    blocks += _figures(table, styles)
+    seen = {row: looks.of(table, row).colour.lower() for row in table.rows}
+    blocks.append(
+        Lines(
+            [(f"row {row.key}", row.title, PAGE_COLOURS.get(seen[row], seen[row])) for row in seen]
+        )
+    )
+    blocks += _figures(found, looks, name)
     pairs = [(row, run) for row in table.rows for run in row.runs]
     lines = [run_cells(row, run) for row, run in pairs]
     blocks.append(Cells("Runs", RUN_COLUMNS, lines))
@@ -205,8 +212,10 @@ def table_section(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Section
     return Section(table.title, blocks)
 
 
-def cells_of(grid: Grid, title: str = "", folded: bool = False) -> Cells:
-    """A score table."""
+def cells_of(
+    grid: Grid, title: str = "", folded: bool = False, colours: Mapping[str, str] | None = None
+) -> Cells:
+    """A score table; `colours` are those of its rows, by their titles."""
     head, paper = [*grid.leading], set()
     for column, published in zip(grid.columns, grid.has_paper, strict=True):
         head.append(column)
@@ -219,31 +228,26 @@ def cells_of(grid: Grid, title: str = "", folded: bool = False) -> Cells:
         lines=[grid.cells(line) for line in grid.lines],
         baselines=[grid.cells(line) for line in grid.baselines],
         paper=frozenset(paper),
+        colours=[(colours or {}).get(line.leading[0], "") for line in grid.lines],
         folded=folded,
     )
 
 
-def _figures(table: ScoreTable, styles: Mapping[str, LineStyle]) -> list[Figures]:
-    known = {chart.kind: chart for chart in charts(table, styles) if isinstance(chart, Chart)}
-    shown = [known[kind] for kind in SHOWN if kind in known]
-    if not shown:
-        return []
-    groups = []
-    for chart in shown:
-        panels = [
-            (
-                f"{table.name}-{chart.kind}-{number}",
-                f"{table.title}: {chart.subject}, {panel.title}",
-                specification(panel, chart.choice),
-            )
-            for number, panel in enumerate(chart.panels)
-        ]
-        groups.append((f"{chart.subject[0].upper()}{chart.subject[1:]}", chart.note, panels))
-    lines = legend([panel for chart in shown for panel in chart.panels])
-    entries = [(line.key, line.title, line.colour, dash(line.dash)) for line in lines]
-    first = shown[0]
-    axes = {key: axis.title for key, axis in first.panels[0].x.items() if key}
-    return [Figures(f"{table.name}-axis", groups, entries, axes, first.choice)]
+def _figures(found: SeedStatistics, looks: Looks, name: str) -> list[Figure]:
+    figures = []
+    for chart in charts(found, looks):
+        pictures = []
+        for number, part in enumerate(parts(chart)):
+            what = part.panels[0].title if isinstance(part, Chart) else part.maps[0][0]
+            label = f"{chart.table}: {chart.subject}{', ' if what else ''}{what}"
+            drawn = inline(part, f"{name}-{chart.kind}-{number}")
+            pictures.append((label, Markup(drawn)))
+        grey = getattr(chart, "grey", "")
+        note = f"{chart.note} Grey: {grey}." if grey else chart.note
+        wide = isinstance(chart, Chart) and chart.width is not None
+        title = f"{chart.subject[0].upper()}{chart.subject[1:]}"
+        figures.append(Figure(title, pictures, note, wide))
+    return figures
 
 
 def _differences(runs: Sequence[Run], title: str, with_experiment: bool) -> list[Block]:
@@ -312,12 +316,9 @@ def _clip(run: Run, situation: video_files.VideosOfSituation, outcome: video_fil
     return Clip(text, address, is_film=address.startswith("data:video"))
 
 
-def _script_data(value: object) -> Markup:
-    """JSON for a `<script type="application/json">`, in which no text can end the element."""
-    text = json.dumps(value, allow_nan=False, separators=(",", ":"))
-    for letter in "<>&":
-        text = text.replace(letter, f"\\u{ord(letter):04x}")
-    return Markup(text)
+def breakable(text: str) -> Markup:
+    """Text whose long words, such as lists of options, may be broken behind punctuation only."""
+    return Markup(re.sub(r"([,=/:])(?=[^\d\s])", r"\1<wbr>", str(escape(text))))
 
 
 def _template(name: str) -> str:
@@ -325,11 +326,10 @@ def _template(name: str) -> str:
     return folder.joinpath(name).read_text(encoding="utf-8")
 
 
-def _policy(scripts: Sequence[str]) -> str:
-    """Only these scripts run, and nothing is loaded."""
-    sums = (hashlib.sha256(script.encode()).digest() for script in scripts)
-    allowed = " ".join(f"'sha256-{base64.b64encode(one).decode()}'" for one in sums)
+def _policy(script: str) -> str:
+    """Only this script runs, and nothing is loaded."""
+    allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; "
+        f"default-src 'none'; script-src 'sha256-{allowed}'; style-src 'unsafe-inline'; "
         f"img-src data: blob:; media-src data:; form-action 'none'; base-uri 'none'"
     )

@@ -6,12 +6,13 @@ import re
 import textwrap
 from collections.abc import Sequence
 
+from zipf.experiments.records.wording import NONE
 from zipf.experiments.reporting.grids import (
+    LAST_MARK,
     Grid,
-    caption,
     lower_grids,
     main_grid,
-    side_by_side_caption,
+    short_caption,
     side_by_side_grids,
 )
 from zipf.experiments.reporting.seed_statistics import SeedStatistics
@@ -19,6 +20,7 @@ from zipf.experiments.reporting.side_by_side import side_by_side
 from zipf.experiments.reporting.tables import ScoreTable
 
 LINE_BREAK = r" \\ "
+_SCORE = re.compile(rf"(-?\d+\.\d\d)(?: ± (\d+\.\d\d))?( {re.escape(LAST_MARK)})?")
 
 
 def latex_report(tables: Sequence[ScoreTable], statistics: Sequence[SeedStatistics] = ()) -> str:
@@ -26,23 +28,28 @@ def latex_report(tables: Sequence[ScoreTable], statistics: Sequence[SeedStatisti
     of the paper, and further statistics."""
     parts = []
     for table in tables:
-        text = caption(table) + "".join(f" {note}" for note in table.notes)
-        parts.append(_grid(main_grid(table), table.title, text))
-        parts += [_grid(grid, f"{table.title}: {grid.title}", "") for grid in lower_grids(table)]
+        parts.append(_grid(main_grid(table), table.title, short_caption(table)))
+        parts += [
+            _grid(grid, f"{table.title}: {grid.title}", short_caption(table))
+            for grid in lower_grids(table)
+        ]
     for beside in side_by_side(tables):
-        text = side_by_side_caption(beside)
-        parts += [_grid(grid, grid.title, text) for grid in side_by_side_grids(beside)]
+        parts += [_grid(grid, grid.title, "") for grid in side_by_side_grids(beside)]
     for one in statistics:
-        for k, grid in enumerate(one.grids):
-            parts.append(_grid(grid, f"{one.table.title}: {grid.title}", "" if k else one.text))
+        for grid in one.grids:
+            parts.append(_grid(grid, f"{one.table.title}: {grid.title}", ""))
     return _HEAD + "\n".join(parts) + "\\end{document}\n"
 
 
-_HEAD = r"""% Compiles by itself; a paper with booktabs, graphicx and docmute can also \input it.
+_HEAD = r"""% Compiles by itself; a paper with these packages and docmute can also \input it.
 \documentclass{article}
 \usepackage[margin=2cm]{geometry}
 \usepackage{booktabs}
 \usepackage{graphicx}
+\usepackage{siunitx}
+\usepackage{etoolbox}
+\robustify\bfseries
+\sisetup{separate-uncertainty = true, detect-weight = true, mode = text}
 \begin{document}
 
 """
@@ -56,6 +63,7 @@ _SPECIAL = {
     "±": r"$\pm$",
     "†": r"\dag{}",
     "–": "--",
+    LAST_MARK: "$^*$",
     **{character: "\\" + character for character in "&%$#_{}"},
     **{character: f"${character}$" for character in "<>|[]"},
 }
@@ -73,17 +81,52 @@ def _heading(text: str) -> str:
     return lines[0] if len(lines) == 1 else rf"\shortstack[r]{{{LINE_BREAK.join(lines)}}}"
 
 
+def _column(cells: Sequence[str]) -> str:
+    """A column: of siunitx, aligned at the decimal point, if all its cells are scores or empty."""
+    found = [_SCORE.fullmatch(cell) for cell in cells if cell not in ("", NONE)]
+    if not all(found) or not found:
+        return "r"
+    whole = max(len(one[1]) for one in found if one)
+    sign = "-" if any(one[1].startswith("-") for one in found if one) else ""
+    error = "(2)" if any(one[2] for one in found if one) else ""
+    after = ", table-space-text-post = {$^*$}" if any(one[3] for one in found if one) else ""
+    return rf"S[table-format={sign}{whole - len(sign) - 3}.2{error}{after}]"
+
+
+def _best(grid: Grid, columns: Sequence[Sequence[str]]) -> list[str]:
+    """For each column the cell with its best score, of agents that reached their window; empty
+    where columns are no level kinds, or there is only one row."""
+    found = []
+    for column in columns:
+        scores = [_SCORE.fullmatch(cell) for cell in column[: len(grid.lines)]]
+        known = [one for one in scores if one and not one[3]]
+        compared = grid.leading[0] == "Condition" and len(known) > 1
+        found.append(max(known, key=lambda one: float(one[1]))[0] if compared else "")
+    return found
+
+
+def _cell(text: str, kind: str, bold: bool) -> str:
+    if kind == "r" or text in ("", NONE):
+        return rf"\textbf{{{_escape(text)}}}" if bold else f"{{{_escape(text)}}}"
+    shown = text.replace("±", r"\pm").replace(f" {LAST_MARK}", "{$^*$}")
+    return rf"\bfseries {shown}" if bold else shown
+
+
 def _grid(grid: Grid, title: str, text: str) -> str:
     widths = [2 if published else 1 for published in grid.has_paper]
     leading = len(grid.leading)
     wide = leading + sum(widths) > 8
+    cells = [grid.cells(line) for line in (*grid.lines, *grid.baselines)]
+    columns = [*zip(*(one[leading:] for one in cells), strict=True)]
+    kinds = [_column(column) for column in columns]
+    best = _best(grid, columns)
     lines = [
         r"\begin{table}",
         r"\centering",
         r"\footnotesize",
         rf"\setlength{{\tabcolsep}}{{{3 if wide else 4}pt}}",
         _NO_WIDER_THAN_THE_PAGE,
-        rf"\begin{{tabular}}{{l{'r' * (leading - 1 + sum(widths))}}}",
+        rf"\begin{{tabular}}{{l{'r' * (leading - 1)}{''.join(kinds)}}}",
         r"\toprule",
     ]
     names = [_heading(column) for column in grid.columns]
@@ -100,13 +143,18 @@ def _grid(grid: Grid, title: str, text: str) -> str:
             for first, width in zip(firsts, widths, strict=True)
         )
         lines.append("".join(rules))
-        below = (" & ours & paper" if width == 2 else " & ours" for width in widths)
+        below = (" & {ours} & {paper}" if width == 2 else " & {ours}" for width in widths)
         lines.append(rf"{headings}{''.join(below)} \\")
     else:
-        lines.append(rf"{headings} & {' & '.join(names)} \\")
+        lines.append(rf"{headings} & {' & '.join(f'{{{name}}}' for name in names)} \\")
     lines.append(r"\midrule")
-    rows = [*grid.lines, *grid.baselines]
-    texts = [rf"{' & '.join(_escape(cell) for cell in grid.cells(row))} \\" for row in rows]
+    texts = []
+    for number, given in enumerate(cells):
+        shown = [_escape(cell) for cell in given[:leading]]
+        for column, cell in enumerate(given[leading:]):
+            bold = number < len(grid.lines) and cell == best[column]
+            shown.append(_cell(cell, kinds[column], bold))
+        texts.append(rf"{' & '.join(shown)} \\")
     if grid.baselines:
         texts.insert(len(grid.lines), r"\midrule")
     lines += [

@@ -17,17 +17,20 @@ from zipf.experiments.reporting.grids import (
     Grid,
     caption,
     claims_caption,
+    legend,
     lower_grids,
     main_grid,
     side_by_side_caption,
     side_by_side_grids,
 )
-from zipf.experiments.reporting.seed_statistics import SeedStatistics, without_statistics
+from zipf.experiments.reporting.seed_statistics import SeedStatistics, reading
 from zipf.experiments.reporting.side_by_side import SideBySide, side_by_side
 from zipf.experiments.reporting.tables import ScoreTable
 
 # As in the plots' file names, in their order.
-PLOT_KINDS = ("learning", "hours", "averages", "frequency", "ranks", "situations", "visits")
+PLOT_KINDS = (
+    *("scores", "learning", "time", "averages", "frequency", "ranks", "situations", "visits"),
+)
 
 
 def markdown(table: ScoreTable) -> str:
@@ -37,7 +40,7 @@ def markdown(table: ScoreTable) -> str:
         parts += [f"{grid.title.capitalize()}:", _grid(grid)]
     parts.append(caption(table))
     if table.notes:
-        parts.append("\n".join(f"- {_escape(note)}" for note in table.notes))
+        parts.append(_list(table.notes).rstrip())
     return "\n\n".join(parts) + "\n"
 
 
@@ -58,7 +61,7 @@ def markdown_report(
 
 def linked_plots(markdown_text: str) -> list[str]:
     """The names of the plots that a `report.md` of this module shows."""
-    kinds = "|".join(PLOT_KINDS)
+    kinds = "|".join((*PLOT_KINDS, "hours"))  # as of 0.2.0 and before
     formats = "|".join(PLOT_FORMATS)
     link = rf"^!?\[([\w.-]+_(?:{kinds}))\]\((\1\.(?:{formats}))\)$"
     return [found[2] for found in re.finditer(link, markdown_text, re.MULTILINE)]
@@ -103,15 +106,19 @@ def _anchor(heading: str) -> str:
 def _after_tables(
     tables: Sequence[ScoreTable], claims: Sequence[ClaimLine], statistics: Sequence[SeedStatistics]
 ) -> list[str]:
-    parts = [_side_by_side(beside) for beside in side_by_side(tables)]
+    parts = ["## How to read the tables\n", _list(legend(tables))]
+    parts += [_side_by_side(beside) for beside in side_by_side(tables)]
     if any(line.at_hand for line in claims):
         parts.append(_claims(claims))
     if statistics:
         parts.append("## Further statistics\n")
         parts += [_statistics(one) for one in statistics if one.grids]
-        if rest := without_statistics(statistics):
-            parts.append(f"{_escape(rest)}\n")
+        parts.append(_list(reading(statistics)))
     return parts
+
+
+def _list(sentences: Sequence[str]) -> str:
+    return "\n".join(f"- {_escape(one)}" for one in sentences) + "\n"
 
 
 CLAIM_HEADER = [
@@ -139,7 +146,7 @@ def _statistics(found: SeedStatistics) -> str:
     parts = [f"### {_escape(found.table.title)}"]
     for grid in found.grids:
         parts += [f"{_escape(grid.title[0].upper() + grid.title[1:])}:", _grid(grid)]
-    return "\n\n".join([*parts, _escape(found.text)]) + "\n"
+    return "\n\n".join(parts) + "\n"
 
 
 def _side_by_side(beside: SideBySide) -> str:

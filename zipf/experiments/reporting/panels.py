@@ -1,6 +1,6 @@
 """Figures of a report as data: from tables to panels of lines, bands, shades, markers and axes.
 
-`draw_matplotlib.py` draws them as pictures, `draw_plotly.py` on the page of the report.
+`draw_matplotlib.py` draws them, for files and for the page.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -16,11 +16,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from zipf.experiments.records.descriptions import LevelGroup
 from zipf.experiments.records.results import Run, aligned, devices_of
-from zipf.experiments.records.wording import KIND_NAMES, spoken
+from zipf.experiments.records.wording import KIND_NAMES, count_text, spoken
 from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.scores import seed_means
+from zipf.experiments.reporting.seed_statistics import IQM, SeedStatistics, estimate_text
 from zipf.experiments.reporting.situations import (
     Measure,
     baseline_by_rank,
@@ -43,31 +43,34 @@ from zipf.experiments.reporting.windows import (
     UpdateWindow,
     evaluations_inside,
 )
-from zipf.protocol import BASELINES
+from zipf.protocol import BASELINES, PAPER_KINDS
 
 Dash = tuple[float, ...]  # lengths of dashes and gaps in line widths; () is a solid line
-Numbers = Sequence[float] | pd.Series
+Numbers = Sequence[float] | NDArray[np.float64] | pd.Series
 
 # Okabe and Ito (2008): told apart with any colour vision. Yellow is left out (too light for lines),
-# and so is orange (too near vermilion); olive and wine are from Tol's muted colours (2021). Grey is
-# kept for baselines.
+# and so is orange (too near vermilion); olive and wine are from Tol's muted colours (2021). Greys
+# are kept for baselines, the paper, and rows that are not in colour.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#999933", "#56B4E9", "#882255", "#000000")
+MOST_IN_COLOUR = 6  # ours: more lines than that cannot be told apart
+TOO_NEAR = 90  # ours: as far as light blue and cyan are apart, or two greens
+OTHERS = "#C4C4C4"  # of rows that are not in colour
+GREY = "#7F7F7F"
 RARE_COLOUR = "#D55E00"
 LINES: Mapping[str, Dash] = {"solid": (), "dashed": (5, 1.5)}
 DASHES: tuple[Dash, ...] = (*LINES.values(), (1.5, 1), (5, 1.5, 1.5, 1.5))
-MARKERS = ("circle", "square", "diamond", "cross", "x", "triangle-up", "star", "triangle-down")
+MARKERS = ("circle", "square", "diamond", "cross", "x", "triangle-up")
 WIDTH = 1.8  # points, of a line
-_BASELINE_LINES: tuple[Mapping[str, Any], ...] = (
-    {"colour": "#808080", "dash": (1, 1.65), "width": 1.6},
-    {"colour": "#333333", "dash": (7, 2, 1.5, 2), "width": 1.1},
-    {"colour": "#808080", "dash": (7, 2, 1.5, 2, 1.5, 2), "width": 1.1},
-    {"colour": "#333333", "dash": (10, 3), "width": 1.1},
-)
-BASELINE_LINES = dict(zip((one.name for one in BASELINES), _BASELINE_LINES, strict=True))
-KIND_STYLES: Mapping[str, Mapping[str, Any]] = {
-    "train": {"colour": "#0072B2", "marker": "circle"},
-    "uniform": {"colour": "#999933", "marker": "square"},
-    "rare": {"colour": RARE_COLOUR, "marker": "diamond"},
+BASELINE_DASHES: Mapping[str, Dash] = {
+    "chance": (1, 1.65),
+    "blind": (7, 2, 1.5, 2),
+    "generalist": (7, 2, 1.5, 2, 1.5, 2),
+    "expert": (10, 3),
+}
+KIND_MARKS: Mapping[str, Mapping[str, Any]] = {
+    "train": {"marker": "circle", "filled": False},
+    "uniform": {"marker": "square", "filled": False},
+    "rare": {"marker": "diamond"},
 }
 NAMES: Mapping[Measure, str] = {"success": "Success", "return": "Mean return"}
 INTERVALS: Mapping[Measure, str] = {
@@ -75,7 +78,7 @@ INTERVALS: Mapping[Measure, str] = {
     "return": "95 % interval (1.96 standard errors across evaluations)",
 }
 ZERO = 0.1  # where 0 stands on a logarithmic axis of counts
-TIME = "time"
+LABEL_LETTERS = 20  # of a line of a label at a curve's end
 
 
 # --- what a figure is ------------------------------------------------------------------------
@@ -85,16 +88,17 @@ TIME = "time"
 class Line:
     """A line of a panel."""
 
-    # [n] for each choice of the horizontal axis; NaN where there is no point
-    x: Mapping[str, Numbers]
+    x: Numbers  # [n], NaN where there is no point
     y: Numbers  # [n]
     colour: str  # #rrggbb
     dash: Dash = ()
     key: str = ""  # lines of one key are hidden together
-    title: str = ""  # of its entry in the legend; empty for none
+    title: str = ""  # empty for none
+    labelled: bool = False  # whether its title stands at its end, and not in the legend
     # width, size: of the line and of its markers, in points
     width: float = WIDTH
     marker: str = ""  # one of `MARKERS`; empty for none
+    filled: bool = True  # whether its markers are
     size: float = 3.5
     joined: bool = True  # whether its points are joined
     opacity: float = 1.0
@@ -102,18 +106,12 @@ class Line:
     # low, high: the ends of a band around it [n]
     low: Numbers | None = None
     high: Numbers | None = None
-    # the lines that it sums up. Where there is room for them they are drawn, in the place of the
-    # band.
-    members: Sequence[Line] = ()
-    # what a page shows of a point, as Plotly's `hovertemplate`; its `customdata` are `numbers`, for
-    # each point
-    hover: str = ""
-    numbers: Sequence[Any] = ()
+    points: Sequence[str] = ()  # what a page shows of each point [n]; empty for nothing
 
-    def is_drawn(self, choice: str) -> bool:
+    @property
+    def is_drawn(self) -> bool:
         """Whether it has a point."""
-        places = np.asarray(self.x[choice], float)
-        return bool(np.isfinite(places * np.asarray(self.y, float)).any())
+        return bool(np.isfinite(np.asarray(self.x, float) * np.asarray(self.y, float)).any())
 
 
 @dataclass(frozen=True)
@@ -132,11 +130,11 @@ class Axis:
 
 @dataclass(frozen=True)
 class Panel:
-    """Lines on two axes; `x` are the choices of the horizontal one."""
+    """Lines on two axes."""
 
     title: str
     lines: Sequence[Line]
-    x: Mapping[str, Axis]
+    x: Axis
     y: Axis
 
 
@@ -147,13 +145,13 @@ class Chart:
     kind: str  # as in the names of files
     table: str  # the title of the table that it is of
     subject: str  # what it shows
-    panels: Sequence[Panel]  # with the same choices of the horizontal axis
-    choice: str = ""  # the one that is meant where nobody chooses
-    # shaded, band: what shades and bands are; empty where there are none
+    panels: Sequence[Panel]
+    # shaded, band, grey: what shades, bands and grey lines are; empty where there are none
     shaded: str = ""
     band: str = ""
+    grey: str = ""
     note: str = ""  # how to read it on a page
-    # width, height: in inches, without the legend; None for a width by the number of panels
+    # width, height: in inches, without legend and labels; None for a width by the number of panels
     width: float | None = None
     height: float = 3.2
 
@@ -170,186 +168,313 @@ class HeatMaps:
     maps: Sequence[tuple[str, NDArray[np.float64]]]
     limits: tuple[float, float]  # of the values
     label: str  # what the values are
-    # the first and the last of the ranks that are framed, of either
+    # the first and the last of the ranks that are framed, of either, from 0
     frames: Sequence[tuple[tuple[int, int], tuple[int, int]]]
+    note: str
 
 
-def legend(panels: Sequence[Panel], choice: str | None = None) -> list[Line]:
-    """The first line of each key that has a title and is drawn, with this choice of the horizontal
-    axis; with any if None."""
+def legend(panels: Sequence[Panel]) -> list[Line]:
+    """The first line of each key that has a title and is drawn."""
     found: dict[str, Line] = {}
-    for line in (line for panel in panels for line in panel.lines if line.title):
-        if any(line.is_drawn(one) for one in ([choice] if choice is not None else line.x)):
+    for line in (line for panel in panels for line in panel.lines):
+        if line.title and line.is_drawn:
             found.setdefault(line.key, line)
-    order = list(dict.fromkeys(line.key for panel in panels for line in panel.lines))
-    return sorted(found.values(), key=lambda line: order.index(line.key))
+    return list(found.values())
+
+
+# --- what a row looks like -------------------------------------------------------------------
 
 
 class LineStyle(NamedTuple):
-    """How a row looks in every figure."""
+    """How an agent looks in every figure."""
 
     colour: str
     dash: Dash
 
 
-def line_styles(rows: Sequence[Row]) -> dict[str, LineStyle]:
-    """A style for each row, by its key, for all figures of a report.
+class Looks(NamedTuple):
+    """How the agents of a report look, and which rows are in colour."""
 
-    A row has the colour and the line that its condition gives it. If another row before it has the
-    same, or it has no colour, it gets the next free style, with its own line as long as there is
-    one.
+    styles: Mapping[str, LineStyle]  # by `Row.agent`
+    coloured: Mapping[str, Sequence[str]]  # the keys of rows, by the table's name
+    rule: Mapping[str, str]  # which rows these are, by the table's name; empty where all are
+
+    def of(self, table: ScoreTable, row: Row) -> LineStyle:
+        """How a row looks in the figures of a table."""
+        if row.key in self.coloured[table.name]:
+            return self.styles[row.agent]
+        return LineStyle(OTHERS, ())
+
+
+def looks_of(tables: Sequence[ScoreTable], highlight: Sequence[str] = ()) -> Looks:
+    """How the rows of a report look: the conditions of `highlight` in colour, or else up to six of
+    a table, the best by validation score, or by training score where there is no validation. Never
+    by a score that is reported."""
+    coloured, rules = {}, {}
+    for table in tables:
+        keys = [row.key for row in table.rows if row.condition in highlight]
+        rules[table.name] = "as chosen" if len(keys) < len(table.rows) else ""
+        if not keys:
+            keys, rules[table.name] = _best(table)
+        coloured[table.name] = keys
+    rows = [row for table in tables for row in table.rows]
+    shown = {row.agent for table in tables for row in table.rows if row.key in coloured[table.name]}
+    return Looks(line_styles(rows, shown), coloured, rules)
+
+
+def _best(table: ScoreTable) -> tuple[list[str], str]:
+    if len(table.rows) <= MOST_IN_COLOUR:
+        return [row.key for row in table.rows], ""
+    scores = table.scores.pivot(index="row", columns="level_kind", values="shown")
+    scores = scores.reindex([row.key for row in table.rows])
+    validated = "validation" in scores and scores["validation"].notna().any()
+    kind = "validation" if validated else "train"
+    best = scores[kind].sort_values(ascending=False, kind="stable").index[:MOST_IN_COLOUR]
+    rule = f"the {MOST_IN_COLOUR} best by {'validation' if validated else 'training'} score"
+    return [row.key for row in table.rows if row.key in best], rule
+
+
+def line_styles(rows: Sequence[Row], first: Iterable[str] = ()) -> dict[str, LineStyle]:
+    """A style for each agent, for all figures of a report; those of `first` choose first.
+
+    An agent has the colour and the line that its condition gives it. If another before it has the
+    same, or one of `first`, seen together with it, nearly the same colour, or it has no colour, it
+    gets the next free style, with its own line as long as there is one.
     """
-    wanted = {
-        row.key: row for row in sorted(rows, key=lambda row: row.runs[0].description.row_order)
-    }
+    order = [row.runs[0].description.row_order for row in rows]
+    numbers = sorted(range(len(rows)), key=lambda k: (rows[k].agent not in first, order[k]))
+    wanted: dict[str, Row] = {}
+    for row in (rows[k] for k in numbers):
+        wanted.setdefault(row.agent, row)
     styles: dict[str, LineStyle] = {}
-    for key, row in wanted.items():
+
+    def is_near(agent: str, style: LineStyle) -> bool:
+        """Whether one that is seen together with the agent has about this colour."""
+        seen = [styles[other].colour for other in styles if other in first and agent in first]
+        return any(_distance(style.colour, colour) < TOO_NEAR for colour in seen)
+
+    for agent, row in wanted.items():
         if row.colour is not None:
             style = LineStyle(row.colour.upper(), LINES[row.line])
-            if style not in styles.values():
-                styles[key] = style
-    for key, row in wanted.items():
-        if key not in styles:
+            if style not in styles.values() and not is_near(agent, style):
+                styles[agent] = style
+    for agent, row in wanted.items():
+        if agent not in styles:
             dashes = sorted(DASHES, key=lambda dash: dash != LINES[row.line])
             every = [LineStyle(colour, dash) for dash in dashes for colour in COLOURS]
             free = [style for style in every if style not in styles.values()]
-            styles[key] = free[0] if free else every[len(styles) % len(every)]
+            apart = [style for style in free if not is_near(agent, style)]
+            styles[agent] = (apart or free or [every[len(styles) % len(every)]])[0]
     return styles
+
+
+def _distance(one: str, other: str) -> float:
+    """How far two colours (#rrggbb) are apart, of 441."""
+    return math.dist(bytes.fromhex(one[1:]), bytes.fromhex(other[1:]))
 
 
 # --- the figures of a table ------------------------------------------------------------------
 
 
-def charts(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Iterator[Chart | HeatMaps]:
+def charts(found: SeedStatistics, looks: Looks) -> list[Chart | HeatMaps]:
     """Every figure that a table has data for."""
+    table = found.table
     every = (
-        learning_curves(table, styles),
-        averages(table),
+        estimates(found, looks),
+        learning_curves(table, looks),
+        learning_curves(table, looks, "time"),
+        averages(table, looks),
         frequencies(table),
-        by_rank(table, styles),
+        by_rank(table, looks),
         by_situation(table),
-        by_visits(table, styles),
+        by_visits(table, looks),
     )
-    return (chart for chart in every if chart is not None)
+    return [chart for chart in every if chart is not None]
 
 
-def learning_curves(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Chart | None:
-    """Score against updates, frames and time: a panel per level kind, a line per row.
+def estimates(statistics: SeedStatistics, looks: Looks) -> Chart | None:
+    """The interquartile mean of each row on each kind of levels, with its 95 % interval; the score,
+    as an empty mark, where there are fewer than two seeds; the paper's score and those of policies
+    that do not learn in grey. None without a score."""
+    table, frame = statistics.table, statistics.frame
+    scores = table.scores[table.scores["shown"].notna()]
+    rows = [row for row in table.rows if row.key in set(scores["row"])]
+    if not rows:
+        return None
+    baselines = [one for one in BASELINES if table.baseline(one.name)]
+    places, y = _row_axis([row.title for row in rows] + [one.title for one in baselines])
+    known = frame[frame["statistic"] == IQM].set_index(["row", "level_kind"])
+    panels = []
+    for levels in table.kinds:
+        kind = levels.level_kind
+        lines: list[Line] = []
+        dot: dict[str, Any] = {"marker": "circle", "joined": False}
+        mark: dict[str, Any]
+        of_kind = scores[scores["level_kind"] == kind].set_index("row")
+        for row, place in zip(rows, places, strict=False):
+            if row.key not in of_kind.index:
+                continue
+            found: Any = of_kind.loc[row.key]
+            named: dict[str, Any] = {"colour": looks.of(table, row).colour, "key": f"row {row.key}"}
+            published = float(found["paper_value"])
+            mark = {
+                "marker": "x",
+                "size": 4.5,
+                "joined": False,
+                "key": "paper",
+                "title": "The paper",
+            }
+            text = f"{row.title}: the paper {published:.2f}"
+            lines.append(Line([published], [place], GREY, points=[text], **mark))
+            score, text = float(found["shown"]), f"{row.title}: {found['shown']:.2f}"
+            several = (row.key, kind) in known.index
+            if several:
+                estimate: Any = known.loc[(row.key, kind)]
+                score, low, high = (float(estimate[one]) for one in ("value", "low", "high"))
+                text = f"{row.title}: {estimate_text(score, low, high)}"
+                lines.append(Line([low, high], [place] * 2, width=2.4, **named))
+            dot |= {"size": 6, "filled": several, "points": [text]}
+            lines.append(Line([score], [place], **dot, **named))
+        for one, place in zip(baselines, places[len(rows) :], strict=True):
+            score = table.baseline(one.name).get(kind, math.nan)
+            dot |= {"size": 5, "filled": True, "points": [f"{one.title}: {score:.2f}"]}
+            lines.append(Line([score], [place], GREY, **dot))
+        limits = _reach([line.x for line in lines])
+        panels.append(Panel(KIND_NAMES[kind], lines, Axis("Score", limits), y))
+    assert y.limits is not None
+    return Chart(
+        "scores",
+        table.title,
+        "interquartile mean with 95 % interval across seeds",
+        panels,
+        grey=_others(table, looks),
+        note="Filled: interquartile mean of the scores of all seeds and levels; the line is the "
+        "95 % interval of a stratified bootstrap over seeds. Empty: the score, where there are "
+        "fewer than two seeds.",
+        width=2.3 + 1.75 * len(panels),
+        height=1.25 + 0.235 * y.limits[0],
+    )
+
+
+def learning_curves(table: ScoreTable, looks: Looks, across: str = "") -> Chart | None:
+    """Score against updates, or frames, or with `across="time"` time: a panel per level kind, a
+    line per row.
 
     The line is the median over seeds at each update, the band reaches from the lowest to the
     highest seed; the window is shaded; an axis above counts frames. Where rows learn from different
     numbers of frames in an update, and with an external agent, whose updates are not ours, the
     scores are drawn against frames: at one place of the axis all have had the same experience.
+    A curve of an agent that began with the weights of another begins at the frames of that.
 
     Time is in hours, or in minutes below two hours: that of training and evaluation together,
     without external agents, whose time is not known. Where runs were on different devices there is
-    none.
+    no figure of it.
     """
+    across = across or ("update" if frames_follow_updates(table) else "frames")
     found = {
-        (row.key, levels.level_kind): [_curve(row, run, levels) for run in row.runs]
+        (row.key, levels.level_kind): [_curve(run, levels, row.external) for run in row.runs]
         for row in table.rows
         for levels in table.kinds
     }
     every = pd.concat([seed for seeds in found.values() for seed in seeds], ignore_index=True)
-    if not len(every):
+    x = _time_axis(table, every, across) if len(every) else None
+    if x is None:
         return None
-    axes = _time_axes(table, every)
     limits = _score_limits(table, every["score"])
-    several = any(len(row.runs) > 1 for row in table.rows)
     panels = []
     for levels in table.kinds:
         kind = levels.level_kind
-        lines = [_median(row, styles, found[row.key, kind], axes) for row in table.rows]
-        for one in BASELINE_LINES:
-            if kind in (known := table.baseline(one)):
-                ends = {name: axis.limits or (0.0, 1.0) for name, axis in axes.items()}
-                lines.append(_baseline_line(one, ends, [known[kind]] * 2))
-        panels.append(Panel(KIND_NAMES[kind], lines, axes, Axis("Score", limits)))
-    shaded = any(axis.shades for axis in axes.values())
+        lines = []
+        for row in table.rows:
+            pooled = pd.concat(aligned(found[row.key, kind])).groupby("update")
+            middle = pooled[["frames", "seconds", "score"]].median().reset_index()
+            unit = {"Hours": 3600, "Minutes": 60}.get(x.title.split()[0], 1)
+            several = len(row.runs) > 1
+            places = middle["seconds" if across == "time" else across] / unit
+            at = [f"{one:,.0f} {x.title.split()[0].lower()}" for one in places.fillna(0)]
+            lines.append(
+                _row_line(
+                    table,
+                    looks,
+                    row,
+                    places,
+                    middle["score"],
+                    marker="circle" if len(middle) < 3 else "",
+                    low=pooled["score"].min() if several else None,
+                    high=pooled["score"].max() if several else None,
+                    points=[
+                        f"{row.title}: {score:.3f} at {place}"
+                        for score, place in zip(middle["score"], at, strict=True)
+                    ],
+                )
+            )
+        known = {one.name: table.baseline(one.name) for one in BASELINES}
+        assert x.limits is not None
+        lines += _baseline_lines(
+            {name: (x.limits, [of[kind]] * 2) for name, of in known.items() if kind in of}
+        )
+        panels.append(Panel(KIND_NAMES[kind], lines, x, Axis("Score", limits)))
+    several = any(len(row.runs) > 1 for row in table.rows)
+    against = x.title.split()[0].lower()
+    inherited = any(run.description.pretrained for run in table.runs)
     return Chart(
-        "learning",
+        "time" if across == "time" else "learning",
         table.title,
-        "learning curves",
+        f"score against {against}" if across == "time" else "learning curves",
         panels,
-        choice="update" if frames_follow_updates(table) else "frames",
-        shaded="Window of the table" if shaded else "",
+        shaded="Window of the table" if x.shades else "",
         band="Lowest to highest seed" if several else "",
-        note=("Thick: median over seeds; thin: each seed." if several else "One seed.")
-        + (" Shaded: the window of the table." if shaded else ""),
+        grey=_others(table, looks),
+        note=("Median over seeds; band: lowest to highest seed." if several else "One seed.")
+        + (" Shaded: the window of the table." if x.shades else "")
+        + (
+            " Curves of agents that began with another's weights begin at its frames."
+            if inherited and across == "frames"
+            else ""
+        ),
     )
 
 
-def _curve(row: Row, run: Run, levels: LevelGroup) -> pd.DataFrame:
+def _curve(run: Run, levels: Any, external: bool) -> pd.DataFrame:
+    """A run's scores, with the frames of the run whose weights it began with."""
     means = run.mean_scores(levels)
-    return means.assign(seconds=math.nan) if row.external else means
+    there = run.description.pretrained
+    frames = means["frames"] + (there.frames if there else 0)
+    return means.assign(frames=frames, **({"seconds": math.nan} if external else {}))
 
 
-def _median(
-    row: Row,
-    styles: Mapping[str, LineStyle],
-    seeds: Sequence[pd.DataFrame],
-    axes: Mapping[str, Axis],
-) -> Line:
-    """The median of a row's seeds at each update."""
-    pooled = pd.concat(aligned(seeds)).groupby("update")
-    middle = pooled[["frames", "seconds", "score"]].median().reset_index()
-    several = len(seeds) > 1
-    length = 3600 if TIME in axes and axes[TIME].title.startswith("Hours") else 60
-
-    def line(frame: pd.DataFrame, title: str, **more: Any) -> Line:
-        places = {"update": frame["update"], "frames": frame["frames"]}
-        places[TIME] = frame["seconds"] / length
-        x = {name: places[name] for name in axes}
-        hover = f"{title}: %{{y:.3f}} at %{{x:.4s}}"
-        return row_line(row, styles, x, frame["score"], hover=hover, **more)
-
-    members = [
-        line(seed, f"seed {run.description.seed}", width=0.7, opacity=0.45)
-        for run, seed in zip(row.runs, seeds, strict=True)
-    ]
-    return line(
-        middle,
-        "median" if several else "one seed",
-        marker="circle" if len(middle) < 3 else "",
-        size=3,
-        low=pooled["score"].min() if several else None,
-        high=pooled["score"].max() if several else None,
-        members=members if several else (),
-    )
-
-
-def _time_axes(table: ScoreTable, every: pd.DataFrame) -> dict[str, Axis]:
-    """The choices of the horizontal axis of learning curves; `every` are all their points."""
+def _time_axis(table: ScoreTable, every: pd.DataFrame, across: str) -> Axis | None:
+    """The horizontal axis of learning curves; `every` are all their points."""
+    if across == "time":
+        seconds = float(every["seconds"].max())
+        if not seconds > 0 or len(devices_of(table.runs)) > 1:
+            return None
+        unit, length = ("Hours", 3600) if seconds >= 2 * 3600 else ("Minutes", 60)
+        return Axis(f"{unit} of training and evaluation", (0.0, seconds / length or 1.0))
     last = every.iloc[int(every["update"].to_numpy().argmax())]
     above = ("Frames", last["frames"] / last["update"]) if last["update"] else None
-    axes = {}
-    for name, title in (("update", "Updates"), ("frames", "Frames")):
-        window = window_ends(table, name)
-        axes[name] = Axis(
-            title,
-            (0.0, 1.02 * (float(every[name].max()) or 1.0)),
-            whole=True,
-            shades=[window] if window else (),
-            above=above if name == "update" else None,
-        )
-    seconds = float(every["seconds"].max())
-    if seconds > 0 and len(devices_of(table.runs)) < 2:
-        unit, length = ("Hours", 3600) if seconds >= 2 * 3600 else ("Minutes", 60)
-        title = f"{unit} of training and evaluation"
-        axes[TIME] = Axis(title, (0.0, 1.02 * seconds / length))
-    return axes
+    window = window_ends(table, across)
+    return Axis(
+        "Updates" if across == "update" else "Frames",
+        (0.0, float(every[across].max()) or 1.0),
+        whole=True,
+        shades=[window] if window else (),
+        above=above if across == "update" else None,
+    )
 
 
 def _score_limits(table: ScoreTable, scores: pd.Series) -> tuple[float, float]:
-    """0 to 1 for success-like scores; whatever is needed beyond."""
-    known = [value for one in BASELINE_LINES for value in table.baseline(one).values()]
+    """0 to 1 for success-like scores, with room above a line at 1; whatever is needed beyond."""
+    known = [value for one in BASELINES for value in table.baseline(one.name).values()]
     low, high = min(0.0, scores.min(), *known), max(1.0, scores.max(), *known)
-    return low - (0.05 * (high - low) if low < 0 else 0.0), high + 0.02 * (high - low)
+    return low - (0.05 if low < 0 else 0.02) * (high - low), high + 0.05 * (high - low)
 
 
 def frames_follow_updates(table: ScoreTable) -> bool:
-    """Whether all rows learn from the same number of frames in an update."""
+    """Whether all rows learn from the same number of frames in an update, from none at first."""
     if any(row.external for row in table.rows):
+        return False
+    if any(run.description.pretrained for run in table.runs):
         return False
     ends = [run.evaluations.iloc[-1] for run in table.runs if len(run.evaluations)]
     return len({end["frames"] / end["update"] for end in ends if end["update"]}) <= 1
@@ -369,65 +494,75 @@ def window_ends(table: ScoreTable, time: str) -> tuple[float, float] | None:
         each = {table.window.inside(one) for one in lasts}
         return each.pop() if len(each) == 1 else None
     if time == "update":
-        return (table.window.start, min(table.window.end, 1.02 * max(last, 1)))
-    inside = [evaluations_inside(run, table.window)["frames"] for run in own]
-    ends = {(frames.min(), frames.max()) for frames in inside if len(frames)}
+        return (table.window.start, min(table.window.end, max(last, 1)))
+    ends = set()
+    for run in own:
+        there = run.description.pretrained
+        frames = evaluations_inside(run, table.window)["frames"] + (there.frames if there else 0)
+        if len(frames):
+            ends.add((frames.min(), frames.max()))
     return ends.pop() if len(ends) == 1 else None
 
 
-def averages(table: ScoreTable) -> Chart | None:
+def averages(table: ScoreTable, looks: Looks) -> Chart | None:
     """The misleading average: a line for each row, its scores on the three kinds of levels, each
     with its lowest and highest seed; those of policies that do not learn below, in grey.
 
     After the paper's figure of one agent, almost perfect on the training distribution and below
     60 % on the rarest objects. None without a score.
     """
-    scores = table.scores.pivot(index="row", columns="level_kind", values="score")[[*KIND_STYLES]]
+    scores = table.scores.pivot(index="row", columns="level_kind", values="shown")
+    scores = scores[[*PAPER_KINDS]]
     rows = [row for row in table.rows if scores.loc[row.key].notna().any()]
     if not rows:
         return None
     names = [row.title for row in rows]
     points = [pd.Series(scores.loc[row.key]) for row in rows]
+    colours = [looks.of(table, row).colour for row in rows]
     for one in BASELINES:
         if baseline := table.baseline(one.name):
             names.append(one.title)
             points.append(pd.Series(baseline).reindex(scores.columns))
-    titles = [textwrap.fill(name, 34) for name in names]
-    # The first line of a title needs a row, each further one less than half of that.
-    heights = np.array([1 + 0.45 * title.count("\n") for title in titles])
-    places = np.cumsum(heights) - heights / 2 - 0.5  # titles of one line are at 0, 1, 2, ...
+            colours.append(GREY)
+    places, y = _row_axis(names)
     lines, ranges = [], False
     for number, (place, of_kinds) in enumerate(zip(places, points, strict=True)):
-        learns = number < len(rows)
+        colour, key = colours[number], f"row {rows[number].key}" if number < len(rows) else ""
         ends = [of_kinds.min(), of_kinds.max()]
-        grey = "#BFBFBF" if learns else "#E0E0E0"
-        lines.append(Line({"": ends}, [place] * 2, grey, width=2, behind=True))
-        for kind, style in KIND_STYLES.items():
-            score = of_kinds[kind]
-            at = {"": [score]}, [place]
-            if not learns:
-                looks = {**style, "colour": "#8C8C8C"}
-                lines.append(Line(*at, **looks, size=6.5, joined=False))
+        lines.append(Line(ends, [place] * 2, "#EBEBEB", key=key, width=2, behind=True))
+        for levels in table.kinds:
+            if (kind := levels.level_kind) not in KIND_MARKS:
                 continue
-            (levels,) = (levels for levels in table.kinds if levels.level_kind == kind)
-            seeds = seed_means(rows[number], levels, table.window).values()
-            if len(seeds) > 1:
-                ranges = True
-                ends = [min(seeds), max(seeds)]
-                lines.append(Line({"": ends}, [place] * 2, style["colour"], width=5, opacity=0.35))
-            name = KIND_NAMES[kind]
-            lines.append(Line(*at, **style, key=kind, title=name, size=6.5, joined=False))
-    low, high = min(point.min() for point in points), max(point.max() for point in points)
-    x = Axis("Score", (min(-0.02, low - 0.02), max(1.02, high + 0.02)))
-    y = Axis("", (heights.sum() - 0.5, -0.5), ticks=(places.tolist(), titles))
+            if number < len(rows):
+                seeds = seed_means(rows[number], levels, table.window).values()
+                if len(seeds) > 1:
+                    ranges = True
+                    ends = [min(seeds), max(seeds)]
+                    range_: dict[str, Any] = {"key": key, "width": 5, "opacity": 0.3}
+                    lines.append(Line(ends, [place] * 2, colour, **range_))
+            text = f"{names[number]}: {KIND_NAMES[kind]} {of_kinds[kind]:.2f}"
+            drawn: dict[str, Any] = {**KIND_MARKS[kind], "size": 6.5, "joined": False}
+            lines.append(Line([of_kinds[kind]], [place], colour, key=key, points=[text], **drawn))
+    for kind, mark in KIND_MARKS.items():  # for the legend
+        named: dict[str, Any] = {
+            "key": kind,
+            "title": KIND_NAMES[kind],
+            "size": 6.5,
+            "joined": False,
+            **mark,
+        }
+        lines.append(Line([points[-1][kind]], [places[-1]], GREY, **named))
+    assert y.limits is not None
     return Chart(
         "averages",
         table.title,
         "what the training score hides",
-        [Panel("", lines, {"": x}, y)],
+        [Panel("", lines, Axis("Score", _reach([line.x for line in lines])), y)],
         band="Lowest to highest seed" if ranges else "",
+        grey=_others(table, looks),
+        note="Circle: on the training distribution; square: uniform; diamond: rare.",
         width=7.4,
-        height=1.3 + 0.34 * heights.sum(),
+        height=1.3 + 0.3 * y.limits[0],
     )
 
 
@@ -443,25 +578,29 @@ def frequencies(table: ScoreTable) -> Chart | None:
     panels = []
     for name, of_rank in found.items():
         lines = []
-        for kind, style in KIND_STYLES.items():
+        for kind, mark in KIND_MARKS.items():
             of_kind = of_rank[of_rank["level_kind"] == kind]
+            ranks = of_kind[name] + 1
             lines.append(
                 Line(
-                    {"": of_kind[name] + 1},  # since a logarithmic axis has no 0
+                    ranks,
                     of_kind["share"],
-                    **style,
+                    GREY if kind == "uniform" else "#000000",
                     key=kind,
                     title=KIND_NAMES[kind],
-                    hover="rank %{customdata}: %{y:.3%}",
-                    numbers=of_kind[name].tolist(),
+                    labelled=True,
+                    points=[
+                        f"{KIND_NAMES[kind]}, rank {rank}: {share:.3%}"
+                        for rank, share in zip(ranks, of_kind["share"], strict=True)
+                    ],
+                    **mark,
                 )
             )
         count = rank_counts(table)[name]
-        shaded = [(first + 0.5, last + 1.5) for first, last in spans(rare_ranks(table, name))]
-        x = _log_axis(_rank_title(name), range(1, count + 1), lambda place: f"{place - 1:.0f}")
-        x = replace(x, limits=(0.9, 1.1 * count), shades=shaded)
-        panels.append(Panel(spoken(name), lines, {"": x}, y))
-    marked = any(panel.x[""].shades for panel in panels)
+        x = _log_axis(_rank_title(name), range(1, count + 1), lambda rank: f"{rank:.0f}")
+        x = replace(x, limits=(0.9, 1.1 * count), shades=_rare(table, name))
+        panels.append(Panel(spoken(name), lines, x, y))
+    marked = any(panel.x.shades for panel in panels)
     return Chart(
         "frequency",
         table.title,
@@ -473,7 +612,7 @@ def frequencies(table: ScoreTable) -> Chart | None:
     )
 
 
-def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Chart | None:
+def by_rank(table: ScoreTable, looks: Looks) -> Chart | None:
     """Success on the uniform levels against each rank of the situation, with 95 % intervals; the
     mean return where success is not reported.
 
@@ -484,27 +623,25 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Chart | None:
     found = {name: of_rank for name, of_rank in found.items() if len(of_rank)}
     if not found:
         return None
-    means = {one: baseline_on_uniform(table, measure, one) for one in BASELINE_LINES}
-    ranked = {one: baseline_by_rank(table, measure, one) for one in BASELINE_LINES}
+    means = {one.name: baseline_on_uniform(table, measure, one.name) for one in BASELINES}
+    ranked = {one.name: baseline_by_rank(table, measure, one.name) for one in BASELINES}
     panels = []
     for name, of_rank in found.items():
-        hover = "rank %{x}: %{y:.3f}, of %{customdata} episodes"
-        lines = _measured(table, styles, of_rank, name, hover, "episodes")
-        ends = (-0.5, rank_counts(table)[name] - 0.5)
+        of_rank = of_rank.assign(rank=of_rank[name] + 1)
+        of_rank["at"] = [f"rank {rank}" for rank in of_rank["rank"]]
+        lines = _measured(table, looks, of_rank, "rank")
+        count = rank_counts(table)[name]
+        ends = (0.5, count + 0.5)
+        each = {}
         for one, mean in means.items():
-            if mean is None:
-                continue
-            flat = any(other not in ranked[one] for other in found)
-            addition = ", mean over ranks" if flat else ""
             if name in ranked[one]:
-                values = ranked[one][name]
-                lines.append(_baseline_line(one, {"": range(len(values))}, values, addition))
-            else:
-                lines.append(_baseline_line(one, {"": ends}, [mean] * 2, addition))
-        shaded = [(first - 0.5, last + 0.5) for first, last in spans(rare_ranks(table, name))]
-        x = Axis(_rank_title(name), ends, whole=True, shades=shaded)
-        panels.append(Panel(spoken(name), lines, {"": x}, _measure_axis(table, measure)))
-    marked = any(panel.x[""].shades for panel in panels)
+                each[one] = (np.arange(1.0, count + 1), ranked[one][name])
+            elif mean is not None:
+                each[one] = (np.array(ends), [mean] * 2)
+        lines += _baseline_lines(each)
+        x = Axis(_rank_title(name), ends, ticks=rank_ticks(count), shades=_rare(table, name))
+        panels.append(Panel(spoken(name), lines, x, _measure_axis(table, measure)))
+    marked = any(panel.x.shades for panel in panels)
     return Chart(
         "ranks",
         table.title,
@@ -512,8 +649,10 @@ def by_rank(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Chart | None:
         panels,
         shaded="Rare" if marked else "",
         band=INTERVALS[measure],
+        grey=_others(table, looks),
         note=f"On the uniform levels. Band: {INTERVALS[measure]}."
-        + (" Shaded: the ranks of the rare levels." if marked else ""),
+        + (" Shaded: the ranks of the rare levels." if marked else "")
+        + " A baseline that is not known at each rank is its mean.",
     )
 
 
@@ -538,7 +677,7 @@ def by_situation(table: ScoreTable) -> HeatMaps | None:
             maps.append((row.title, grid))
     values = found["value"]
     gaps = any(np.isnan(grid).any() for _, grid in maps)
-    key = "rank 0: most frequent; framed: rare" + ("; grey: no episode" if gaps else "")
+    key = "rank 1: most frequent; framed: rare" + ("; grey: no episode" if gaps else "")
     down, across = (spans(rare_ranks(table, name)) for name in names)
     return HeatMaps(
         "situations",
@@ -549,10 +688,11 @@ def by_situation(table: ScoreTable) -> HeatMaps | None:
         (0.0, 1.0) if measure == "success" else (values.min(), values.max()),
         _measure_axis(table, measure).title,
         [*itertools.product(down, across)],
+        f"On the uniform levels; {key}.",
     )
 
 
-def by_visits(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Chart | None:
+def by_visits(table: ScoreTable, looks: Looks) -> Chart | None:
     """Success, or the mean return, on the uniform levels against how often training had met the
     situation, and each of its ranks; None where no run has counted it."""
     measure = measure_of(table)
@@ -562,13 +702,13 @@ def by_visits(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Chart | Non
         return None
     panels = []
     for name, groups in found.items():
-        hover = "met %{customdata[0]:.3~s} times: %{y:.3f}, of %{customdata[1]} episodes"
         groups = groups.assign(place=groups["met"].replace(0.0, ZERO))
-        lines = _measured(table, styles, groups, "place", hover, ["met", "episodes"])
+        groups["at"] = [f"met {count_text(int(met))} times" for met in groups["met"]]
         rank = name.removeprefix("visits").removeprefix("_").replace("_", " ")
         x = _visits_axis(f"Times training met the {rank or 'situation'}", groups["met"])
+        lines = _measured(table, looks, groups, "place")
         panels.append(
-            Panel(rank.capitalize() or "Situation", lines, {"": x}, _measure_axis(table, measure))
+            Panel(rank.capitalize() or "Situation", lines, x, _measure_axis(table, measure))
         )
     return Chart(
         "visits",
@@ -576,6 +716,7 @@ def by_visits(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Chart | Non
         f"{NAMES[measure].lower()} against experience",
         panels,
         band=INTERVALS[measure],
+        grey=_others(table, looks),
         note=f"{NAMES[measure]} on the uniform levels against how often training had met the "
         f"situation, or the one rank of it, in groups by powers of two; where it was counted. "
         f"Band: {INTERVALS[measure]}.",
@@ -585,47 +726,98 @@ def by_visits(table: ScoreTable, styles: Mapping[str, LineStyle]) -> Chart | Non
 # --- what they have in common ----------------------------------------------------------------
 
 
-def row_line(
-    row: Row, styles: Mapping[str, LineStyle], x: Mapping[str, Numbers], y: Numbers, **more: Any
+def _row_line(
+    table: ScoreTable, looks: Looks, row: Row, x: Numbers, y: Numbers, **more: Any
 ) -> Line:
-    """A line of a row of the table; `more` are attributes of the line."""
-    style = styles[row.key]
-    # A key that no baseline has.
-    return Line(x, y, style.colour, style.dash, f"row {row.key}", row.title, **more)
+    """A line of a row of the table, grey, thin and without a band where it is not in colour; `more`
+    are attributes of the line."""
+    style = looks.of(table, row)
+    line = Line(x, y, *style, f"row {row.key}", row.title, **more)
+    if row.key in looks.coloured[table.name]:
+        return replace(line, labelled=True)
+    return replace(line, width=0.8, title="", low=None, high=None, marker="", behind=True)
 
 
-def _baseline_line(name: str, x: Mapping[str, Numbers], y: Numbers, addition: str = "") -> Line:
-    """The line of a policy that does not learn."""
-    (one,) = (one for one in BASELINES if one.name == name)
-    title = f"{one.title} ({one.hint}){addition}"
-    hover = f"{one.title}: %{{y:.3f}}<extra></extra>"
-    return Line(x, y, key=name, title=title, behind=True, hover=hover, **BASELINE_LINES[name])
+def _others(table: ScoreTable, looks: Looks) -> str:
+    """What grey rows are; empty where there are none."""
+    rule = looks.rule[table.name]
+    others = len(table.rows) - len(looks.coloured[table.name])
+    return f"{others} other{'s' if others > 1 else ''} (in colour: {rule})" if rule else ""
 
 
-def _measured(
-    table: ScoreTable,
-    styles: Mapping[str, LineStyle],
-    found: pd.DataFrame,
-    across: str,
-    hover: str,
-    numbers: str | list[str],
-) -> list[Line]:
+def _baseline_lines(found: Mapping[str, tuple[Numbers, Numbers]]) -> list[Line]:
+    """The lines of policies that do not learn, of which `found` has places and values; one line for
+    those that lie on each other."""
+    lines: list[Line] = []
+    for one in (one for one in BASELINES if one.name in found):
+        x, y = found[one.name]
+        for place, other in enumerate(lines):
+            if np.allclose(np.interp(x, other.x, other.y), y, atol=0.005) and _spans(other.x, x):
+                title = f"{other.title}, {one.title}"
+                lines[place] = replace(other, title=title, points=[title] * len(other.y))
+                break
+        else:
+            looks: dict[str, Any] = {
+                "dash": BASELINE_DASHES[one.name],
+                "width": 1.2,
+                "behind": True,
+            }
+            texts = [f"{one.title}: {value:.3f}" for value in y]
+            named: dict[str, Any] = {
+                "key": one.name,
+                "title": one.title,
+                "labelled": True,
+                "points": texts,
+            }
+            lines.append(Line(x, y, GREY, **looks, **named))
+    return lines
+
+
+def _spans(one: Numbers, other: Numbers) -> bool:
+    """Whether the one's places reach as far as the other's, within a rank."""
+    ends = np.asarray(one, float)[[0, -1]], np.asarray(other, float)[[0, -1]]
+    return bool(np.abs(ends[0] - ends[1]).max() <= 1)
+
+
+def _row_axis(names: Sequence[str]) -> tuple[list[float], Axis]:
+    """The places of rows that stand one below the other, the first on top, and their axis."""
+    titles = [textwrap.fill(name, 34) for name in names]
+    # The first line of a title needs a row, each further one about half of that.
+    heights = np.array([1 + 0.6 * title.count("\n") for title in titles])
+    places = (np.cumsum(heights) - heights / 2 - 0.5).tolist()  # 0, 1, 2, ... for single lines
+    return places, Axis("", (heights.sum() - 0.5, -0.5), ticks=(places, titles))
+
+
+def _reach(values: Sequence[Numbers]) -> tuple[float, float]:
+    """The limits of an axis of scores: 0 to 1 and whatever is needed beyond, with some room."""
+    every = np.concatenate([np.asarray(one, float) for one in values])
+    low, high = min(0.0, np.nanmin(every)), max(1.0, np.nanmax(every))
+    return low - 0.05 * (high - low), high + 0.05 * (high - low)
+
+
+def _measured(table: ScoreTable, looks: Looks, found: pd.DataFrame, across: str) -> list[Line]:
     """For each row of the table `value` against the column `across`, and the interval from `low` to
-    `high`."""
+    `high`; the column `at` has each place in words."""
     lines = []
-    for number, row in enumerate(table.rows):
+    markers = itertools.cycle(MARKERS)
+    for row in table.rows:
         of_row = found[found["row_key"] == row.key]
+        in_colour = row.key in looks.coloured[table.name]
+        texts = [
+            f"{row.title}, {line.at}: {line.value:.3f} of {line.episodes:,.0f} episodes"
+            for line in of_row.itertuples()
+        ]
         lines.append(
-            row_line(
+            _row_line(
+                table,
+                looks,
                 row,
-                styles,
-                {"": of_row[across]},
+                of_row[across],
                 of_row["value"],
-                marker=MARKERS[number % len(MARKERS)],
+                marker=next(markers) if in_colour else "",
                 low=of_row["low"],
                 high=of_row["high"],
-                hover=hover,
-                numbers=of_row[numbers].to_numpy().tolist(),
+                points=texts,
             )
         )
     return lines
@@ -634,11 +826,25 @@ def _measured(
 def _measure_axis(table: ScoreTable, measure: Measure) -> Axis:
     several = any(levels.level_kind == "uniform" for levels in table.groups)
     title = f"{NAMES[measure]} on the uniform {'levels' if several else 'level'}"
-    return Axis(title, (-0.02, 1.03) if measure == "success" else None)
+    return Axis(title, (-0.03, 1.05) if measure == "success" else None)
 
 
 def _rank_title(name: str) -> str:
-    return f"{spoken(name)} rank (0 = most frequent)"
+    return f"{spoken(name)} rank (1 = most frequent)"
+
+
+def rank_ticks(count: int) -> tuple[list[float], list[str]]:
+    """Ranks from 1: all of a few, else the first and round ones."""
+    step = next(step for step in (1, 2, 5, 10, 20, 50, 10**9) if count / step <= 6)
+    ranks = list(dict.fromkeys([1, *range(step, count + 1, step)]))
+    if step > 1 and len(ranks) > 1 and ranks[1] - 1 < step / 2:
+        ranks.pop(1)
+    return [float(rank) for rank in ranks], [str(rank) for rank in ranks]
+
+
+def _rare(table: ScoreTable, name: str) -> list[tuple[float, float]]:
+    """The stretches of a rank, from 1, that the rare levels have."""
+    return [(first + 0.5, last + 1.5) for first, last in spans(rare_ranks(table, name))]
 
 
 def _log_axis(

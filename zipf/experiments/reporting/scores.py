@@ -17,8 +17,9 @@ The protocol, and what it leaves open (Chan et al. 2022, section on training and
    Where these levels' scores are normalised by a human's, a capped score stands beside: each
    level's median counts as at most 1, then mean and standard error are taken as before.
 4. The window is part of the result. A run with no evaluation inside it has no score, and a note
-   says so; it is never scored somewhere else unless the reader asks for another window. An external
-   agent, which has no updates, is scored at its last evaluation.
+   says so. Of a row without any score the last evaluation is `shown`, marked; it is in no file and
+   no statistic unless the reader asks for that window, or no row of the table has reached its own.
+   An external agent, which has no updates, is scored at its last evaluation.
 """
 
 from __future__ import annotations
@@ -38,7 +39,12 @@ from zipf.experiments.reporting.statistics import (
     standard_error,
     weighted_mean,
 )
-from zipf.experiments.reporting.windows import Window, evaluations_inside, window_of
+from zipf.experiments.reporting.windows import (
+    LastEvaluations,
+    Window,
+    evaluations_inside,
+    window_of,
+)
 from zipf.protocol import BASELINE_NAMES
 
 CSV_COLUMNS = (
@@ -49,6 +55,7 @@ CSV_COLUMNS = (
     "window", "evaluations", "episodes", "updates", "frames",
 )  # fmt: skip
 
+KEYS = ("row", "column", "shown", "shown_error", "marked")
 
 CAP = 1.0  # a human's score; DMLab-30's convention (Espeholt et al. 2018, IMPALA, section 5.3)
 
@@ -62,8 +69,10 @@ def score_frame(
     paper: PaperTable | None,
 ) -> pd.DataFrame:
     """The scores of comparable runs, one line per row and group of levels.
-    Returns the columns that docs/results.md describes for `report.csv`, and `row` and `column`, the
-    keys of the row and of the group of levels. NaN is "none"."""
+    Returns the columns that docs/results.md describes for `report.csv`; `row` and `column`, the
+    keys of the row and of the group of levels; `shown`, `shown_error` and `marked`: the score as a
+    table shows it, and whether it is that of the last evaluation since none is inside the window.
+    NaN is "none"."""
     runs = [run for row in rows for run in row.runs]
     baselines = {levels.column: _baselines(runs, levels) for levels in groups}
     lines = []
@@ -75,6 +84,8 @@ def score_frame(
                 else None
             )
             error = published.error if published else None
+            score = _score(row.runs, levels, window)
+            last = score if score["seeds"] else _score(row.runs, levels, LastEvaluations(1))
             lines.append(
                 {
                     "row": row.key,
@@ -87,7 +98,10 @@ def score_frame(
                     "level_kind": levels.level_kind,
                     "level": levels.name,
                     "levels": len(levels.weights),
-                    **_score(row.runs, levels, window),
+                    **score,
+                    "shown": last["score"],
+                    "shown_error": last["error"],
+                    "marked": last["seeds"] > score["seeds"],
                     "spread": row.runs[0].description.spread,
                     "paper_value": published.value if published else np.nan,
                     "paper_error": error if error is not None else np.nan,
@@ -95,7 +109,7 @@ def score_frame(
                     "window": ", ".join({str(window_of(run, window)): run for run in row.runs}),
                 }
             )
-    frame = pd.DataFrame(lines, columns=["row", "column", *CSV_COLUMNS])
+    frame = pd.DataFrame(lines, columns=[*KEYS, *CSV_COLUMNS])
     whole = ["levels", "seeds", "evaluations", "episodes", "updates", "frames"]
     return frame.astype({column: "Int64" for column in whole})
 
@@ -204,5 +218,10 @@ def other_statistic(scores: pd.DataFrame, mean: str) -> pd.DataFrame:
     of the weighted one, and no published scores."""
     names = ["score", "error", *BASELINE_NAMES]
     return scores.assign(
-        **{name: scores[f"{mean}_{name}"] for name in names}, paper_value=np.nan, paper_error=np.nan
+        **{name: scores[f"{mean}_{name}"] for name in names},
+        shown=scores[f"{mean}_score"],
+        shown_error=scores[f"{mean}_error"],
+        marked=False,
+        paper_value=np.nan,
+        paper_error=np.nan,
     )

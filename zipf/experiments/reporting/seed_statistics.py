@@ -44,9 +44,10 @@ class SeedStatistics:
     """Further statistics of a table."""
 
     table: ScoreTable
+    frame: pd.DataFrame  # see `statistics_frame`
     # as they are shown; none where no row has two seeds and no run has counted visits
     grids: tuple[Grid, ...]
-    text: str  # how to read them; empty where there are none
+    sentences: tuple[str, ...]  # how to read them
 
 
 def seed_scores(row: Row, levels: LevelGroup, table: ScoreTable) -> NDArray[np.float64]:
@@ -113,9 +114,9 @@ def at_chance(table: ScoreTable, levels: LevelGroup, *rows: Row) -> bool:
     return bool(best < chance + LEARNED)
 
 
-def seed_statistics(table: ScoreTable, frame: pd.DataFrame) -> SeedStatistics:
-    """The statistics of a table as they are shown; `frame` is its `statistics_frame`."""
-    grids, sentences = [], []
+def seed_statistics(table: ScoreTable) -> SeedStatistics:
+    """The statistics of a table."""
+    frame, grids, sentences = statistics_frame(table), [], []
     if len(frame):
         grids.append(_means(table, frame))
         sentences.append(
@@ -145,22 +146,24 @@ def seed_statistics(table: ScoreTable, frame: pd.DataFrame) -> SeedStatistics:
             "episodes, lowest to highest. At least: without those of the run whose weights the "
             "agent began with."
         )
-    return SeedStatistics(table, tuple(grids), " ".join(sentences))
+    return SeedStatistics(table, frame, tuple(grids), tuple(sentences))
 
 
-def without_statistics(found: Sequence[SeedStatistics]) -> str:
-    """A sentence on the tables that have no further statistics; empty where all have some."""
+def reading(found: Sequence[SeedStatistics]) -> list[str]:
+    """How to read the statistics of several tables, each sentence once, and which have none."""
+    sentences = list(dict.fromkeys(text for one in found for text in one.sentences))
     titles = [one.table.title for one in found if not one.grids]
-    if not titles:
-        return ""
-    return (
-        f"Not of {', '.join(titles)}: an interquartile mean {TOO_FEW} of a condition, and how "
-        f"often training met a situation was not recorded."
-    )
+    if titles:
+        sentences.append(
+            f"Not of {', '.join(titles)}: an interquartile mean {TOO_FEW} of a condition, and how "
+            f"often training met a situation was not recorded."
+        )
+    return sentences
 
 
-def csv_statistics(frames: Sequence[pd.DataFrame]) -> str:
+def csv_statistics(found: Sequence[SeedStatistics]) -> str:
     """`statistics.csv`: the lines of all tables."""
+    frames = [one.frame for one in found]
     every = pd.concat([frame for frame in frames if len(frame)] or list(frames))
     return every[list(STATISTICS_COLUMNS)].to_csv(
         index=False, float_format="%.10g", lineterminator="\n"

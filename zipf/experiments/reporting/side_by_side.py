@@ -118,6 +118,7 @@ def _scores(
                 {
                     **dict.fromkeys(_NUMBERS, np.nan),
                     "row": row.key,
+                    "marked": False,
                     "seeds": seeds,
                     "paper_value": published.value,
                     "paper_error": error,
@@ -127,4 +128,7 @@ def _scores(
     return pd.concat(known_and_more) if known_and_more else found
 
 
-_NUMBERS = ("score", "error", "paper_value", "paper_error", *BASELINE_NAMES)
+_NUMBERS = (
+    *("score", "error", "shown", "shown_error", "paper_value", "paper_error"),
+    *BASELINE_NAMES,
+)

@@ -41,6 +41,8 @@ class ScoreTable:
     rows: tuple[Row, ...]  # in the table's order
     window: Window  # over which the scores are taken
     own_window: bool  # whether that is the experiment's own, see `table_window`
+    # the window that was meant and that no run has reached yet: scores are of the last evaluations
+    unreached: Window | None
     paper: PaperTable | None  # what was published; None where it has a number for none of the rows
     kinds: tuple[LevelGroup, ...]  # the levels of each kind
     scores: pd.DataFrame  # one line per row and level kind; see `score_frame`
@@ -95,7 +97,9 @@ class ScoreTable:
         return len(set(self.frames.values())) > 1
 
 
-def score_tables(runs: Sequence[Run], window: Asked | None = None) -> list[ScoreTable]:
+def score_tables(
+    runs: Sequence[Run], window: Asked | None = None, order: Sequence[str] = ()
+) -> list[ScoreTable]:
     """One table per experiment; more where runs of an experiment cannot be compared.
     Raises UserError: two runs of a table are the same condition and seed, or a run names a
     published experiment that the paper does not have.
@@ -103,17 +107,23 @@ def score_tables(runs: Sequence[Run], window: Asked | None = None) -> list[Score
     Args:
         window: instead of each run's own; "scaled" for that at the same fractions of shorter runs;
             "own" for each run's own, with those that differ in one table.
+        order: conditions whose rows come first, in this order.
     """
     tables: list[ScoreTable] = []
     for group in group_runs(runs, window):
-        rows = rows_of(group.runs)
+        rows = rows_of(group.runs, group.title, order)
         paper = paper_of(group.runs)
         description = group.runs[0].description
         used, is_own = table_window(group.runs, window)
+        unreached = None if _is_reached(group.runs, used) else used
+        if unreached is not None:
+            used, is_own = LastEvaluations(1), False
         kinds = tuple(_kinds(group.runs))
         groups = tuple(part for levels in kinds for part in _parts(levels, paper))
         whole = score_frame(rows, kinds, used, group.name, description.experiment, paper)
         parts = score_frame(rows, groups, used, group.name, description.experiment, paper)
+        if unreached is not None:
+            whole, parts = (one.assign(marked=~one["external"]) for one in (whole, parts))
         tables.append(
             ScoreTable(
                 name=group.name,
@@ -122,6 +132,7 @@ def score_tables(runs: Sequence[Run], window: Asked | None = None) -> list[Score
                 rows=rows,
                 window=used,
                 own_window=is_own,
+                unreached=unreached,
                 paper=paper if whole["paper_value"].notna().any() else None,
                 kinds=kinds,
                 scores=whole,
@@ -131,6 +142,12 @@ def score_tables(runs: Sequence[Run], window: Asked | None = None) -> list[Score
             )
         )
     return tables
+
+
+def _is_reached(runs: Sequence[Run], window: Window) -> bool:
+    """Whether one of these runs has an evaluation inside; also where none has any anywhere."""
+    ours = [run for run in runs if not run.description.external and len(run.evaluations)]
+    return not ours or any(len(evaluations_inside(run, window)) for run in ours)
 
 
 def report_frame(tables: Sequence[ScoreTable]) -> pd.DataFrame:
@@ -177,7 +194,14 @@ def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
     found: list[str] = []
     for run in runs:
         found += run.notes
-        found += _window_notes(run, window_of(run, window))
+    rows = {key: [run for run in runs if run.description.row_key == key] for key in _keys(runs)}
+    for of_row in rows.values():
+        texts: dict[str, list[int]] = {}
+        for run in of_row:
+            for text in _window_notes(run, window_of(run, window)):
+                texts.setdefault(text, []).append(run.description.seed)
+        title = of_row[0].description.row.title
+        found += [f"{title}, {seeds_list(seeds)}: {text}" for text, seeds in texts.items()]
     devices = devices_of(runs)
     if len(devices) > 1:
         found.append(
@@ -186,48 +210,45 @@ def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
         )
     found += [note for name in BASELINE_NAMES for note in _baseline_notes(runs, name)]
     found += _floor_notes(runs)
-    for key in dict.fromkeys(run.description.row_key for run in runs):
-        of_row = [run for run in runs if run.description.row_key == key]
+    for of_row in rows.values():
         found += _seeds_notes(of_row) + _pretrained_notes(of_row)
     return tuple(found)
 
 
+def _keys(runs: Sequence[Run]) -> list[str]:
+    return list(dict.fromkeys(run.description.row_key for run in runs))
+
+
 def _window_notes(run: Run, window: Window) -> list[str]:
     if not len(run.evaluations):
-        return [f"{run.label}: no evaluation yet; not counted."]
+        return ["no evaluation yet; not counted."]
     inside = evaluations_inside(run, window)
     if isinstance(window, UpdateWindow) and not len(inside):
         last = count_text(int(run.evaluations["update"].max()))
-        assert run.description.window is not None  # external agents have no window of updates
-        scaled = ScaledWindow(*run.description.window).select(run.evaluations["update"])
-        others = "window=scaled or window=last shows" if scaled.any() else "window=last shows"
         return [
-            f"{run.label}: no evaluation at {window_text(window)} (the last is at update {last}); "
-            f"not counted. {others} it."
+            f"no evaluation at {window_text(window)} (the last is at update {last}); not counted."
         ]
     found = []
     number = inside["update"].nunique()
     if isinstance(window, LastEvaluations) and number < window.count:
         beside = " beside that at update 0" if len(inside) < len(run.evaluations) else ""
         found.append(
-            f"{run.label}: has {number} evaluation{'s' if number > 1 else ''}{beside}, not "
+            f"has {number} evaluation{'s' if number > 1 else ''}{beside}, not "
             f"{window.count}: scored over what there is."
         )
     missing = set(PAPER_KINDS) - set(inside["level_kind"])
     if missing:
-        found.append(
-            f"{run.label}: no evaluation of {', '.join(sorted(missing))}; not counted there."
-        )
+        found.append(f"no evaluation of {', '.join(sorted(missing))}; not counted there.")
     if isinstance(window, ScaledWindow) and inside["update"].max() < window.end:
         start, end = window.inside(int(inside["update"].max()))
         found.append(
-            f"{run.label}: ends at update {count_text(end)}, before update "
+            f"ends at update {count_text(end)}, before update "
             f"{count_text(window.end)}: scored over updates {count_text(math.ceil(start))} to "
             f"{count_text(end)}, a scaled window."
         )
     if isinstance(window, UpdateWindow) and run.updates < window.end:
         found.append(
-            f"{run.label}: at update {count_text(run.updates)}, before the window's end: scored "
+            f"at update {count_text(run.updates)}, before the window's end: scored "
             f"over the {number} evaluations so far."
         )
     return found

@@ -12,9 +12,11 @@ from zipf.experiments.records.wording import KIND_NAMES, NONE
 from zipf.experiments.reporting.claim_checks import Outcome
 from zipf.experiments.reporting.claims import ClaimLine
 from zipf.experiments.reporting.grids import (
+    LEVEL,
     Grid,
     caption,
     claims_caption,
+    legend,
     lower_grids,
     main_grid,
     side_by_side_caption,
@@ -25,13 +27,24 @@ from zipf.experiments.reporting.tables import ScoreTable
 
 
 def print_table(table: ScoreTable, console: Console) -> None:
-    """Print the table, the paper's scores below ours, then its caption and notes."""
+    """Print the table, the paper's scores below ours, then what is its own of caption and notes."""
     _print_grid(main_grid(table), table.title, console)
+    long = [grid.title for grid in lower_grids(table) if grid.leading[0] == LEVEL]
     for grid in lower_grids(table):
-        _print_grid(grid, f"{table.title}: {grid.title}", console)
+        if grid.title not in long:
+            _print_grid(grid, f"{table.title}: {grid.title}", console)
+    if long:
+        console.print(
+            f"[dim]In report.md: {', '.join(dict.fromkeys(long))}.[/dim]", highlight=False
+        )
     console.print(f"[dim]{escape(caption(table))}[/dim]", highlight=False)
     for note in table.notes:
         console.print(f"[yellow]Note:[/yellow] {escape(note)}", highlight=False)
+
+
+def print_legend(tables: Sequence[ScoreTable], console: Console) -> None:
+    """Print how to read the tables."""
+    console.print(f"[dim]{escape(' '.join(legend(tables)))}[/dim]", highlight=False)
 
 
 def print_side_by_side(beside: SideBySide, console: Console) -> None:

@@ -12,6 +12,28 @@ import torch
 PARTS = ("environment", "inference", "learning", "evaluation")
 
 
+def shares(parts: Mapping[str, float], total: float, takes_turns: bool) -> dict[str, int]:
+    """Where a run's elapsed seconds went, in percent, which add up to 100.
+
+    Args:
+        parts: seconds, as `Clock.parts` has them.
+        total: elapsed seconds of training and evaluation.
+        takes_turns: whether collection and learning do. Where collection goes on beside learning,
+            what the learner's thread does is shown: it learns, evaluates, or waits for frames.
+    """
+    known = dict(parts)
+    if not takes_turns:
+        known = {part: parts[part] for part in ("learning", "evaluation")}
+    rest = "other" if takes_turns else "waiting for frames"
+    known[rest] = max(0.0, total - sum(known.values()))
+    exact = {part: 100 * seconds / (sum(known.values()) or 1.0) for part, seconds in known.items()}
+    found = {part: int(share) for part, share in exact.items()}
+    by_loss = sorted(exact, key=lambda part: found[part] - exact[part])
+    for part in by_loss[: round(sum(exact.values())) - sum(found.values())]:
+        found[part] += 1
+    return found
+
+
 class DeviceClock:
     """Seconds that a CUDA device spends on parts of its work, without waiting for it."""
 

@@ -15,7 +15,7 @@ from rich.text import Text
 from zipf import output
 from zipf.envs import KINDS
 from zipf.experiments.evaluation.evaluator import Result, scores
-from zipf.experiments.training.clock import PARTS
+from zipf.experiments.training.clock import PARTS, shares
 
 
 class Display:
@@ -27,6 +27,7 @@ class Display:
         updates: to reach.
         update: those made already.
         frames_per_update: frames that one consumes.
+        takes_turns: whether collection and learning do, see `shares`.
         console: where to print; by default standard output, unless `zipf.output.is_quiet`.
     """
 
@@ -37,6 +38,7 @@ class Display:
         update: int,
         *,
         frames_per_update: int,
+        takes_turns: bool = True,
         console: Console | None = None,
     ):
         self.console = console or output.console()
@@ -44,6 +46,7 @@ class Display:
         self.updates = updates
         self.update = update
         self.frames_per_update = frames_per_update
+        self.takes_turns = takes_turns
         self.live = self.console.is_terminal and not self.console.quiet
         self.scores: dict[str, float] = {}
         self.metrics: dict[str, float] = {}
@@ -135,7 +138,9 @@ class Display:
         name = Text(self.name, style="bold", no_wrap=True, overflow="ellipsis")
         if not m:
             return Group(name, self.progress, scores)
-        split = "  ".join(f"{part} {m[f'time_{part}'] / m['seconds']:.0%}" for part in PARTS)
+        seconds = {part: m[f"time_{part}"] for part in PARTS}
+        known = shares(seconds, m["seconds"], self.takes_turns)
+        split = "  ".join(f"{part} {share}%" for part, share in known.items())
         return Group(name, self.progress, scores, f"[dim]time: {split}[/]")
 
 

@@ -31,7 +31,7 @@ class Outputs:
         UserError: a file cannot be written.
     """
 
-    def __init__(self, config: Config, update: int, *, is_first: bool):
+    def __init__(self, config: Config, update: int, *, is_first: bool, takes_turns: bool = True):
         self.config = config
         self.reason = ""
         self.display = Display(
@@ -39,6 +39,7 @@ class Outputs:
             config.updates,
             update,
             frames_per_update=config.frames_per_update,
+            takes_turns=takes_turns,
             console=None if is_first else Console(quiet=True, force_terminal=False),
         )
         self._tables: Tables | None = None

@@ -41,7 +41,7 @@ from zipf.experiments.training import pretrained
 from zipf.experiments.training.allocator import keep_freed_ram
 from zipf.experiments.training.clock import Clock, DeviceClock
 from zipf.experiments.training.outputs import Outputs
-from zipf.experiments.training.rollouts import TensorRollouts
+from zipf.experiments.training.rollouts import SynchronousRollouts, TensorRollouts
 from zipf.experiments.training.runtime import LearnerLost, OnlyLearner, Runtime
 from zipf.experiments.training.signals import Stopped, StopSignals, sweep_has_ended
 from zipf.experiments.training.tables import Tables
@@ -226,7 +226,12 @@ class Run:
             run_folder.check_description(config, self.env.situation)
             Tables.check(self.folder, self.update, self._lengths)
         self.name = config.run_name
-        self.outputs = Outputs(config, self.update, is_first=self.learner.is_first)
+        self.outputs = Outputs(
+            config,
+            self.update,
+            is_first=self.learner.is_first,
+            takes_turns=type(self.rollouts) in (SynchronousRollouts, TensorRollouts),
+        )
         self.stop = StopSignals(self.outputs.display.warn)
 
     def __enter__(self) -> Run:
