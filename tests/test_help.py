@@ -121,7 +121,10 @@ def test_help_has_every_option_and_its_default(module, monkeypatch, capsys):
     assert set(told) == set(fields)
     for name, field in fields.items():
         if field.default not in (None, ""):
-            assert f"default: {field.default}" in told[name]
+            default = field.default
+            if isinstance(default, tuple):
+                default = "x".join(map(str, default))
+            assert f"default: {str(default).lower()}" in told[name]
         elif name not in ("run", "split", "level", "policy"):  # the usage says which are needed
             assert "default: " in told[name]
 

@@ -107,4 +107,4 @@ def test_a_decay_that_cannot_be_is_one_error(decay, wrong):
 
 def test_it_is_in_a_runs_automatic_name():
     asked = ["experiment=demo", "updates=8", "learning_rate_decay=[4,8]"]
-    assert loading.load(asked).condition.endswith(",learning_rate_decay=[4,8]")
+    assert loading.load(asked).condition.endswith("-learning_rate_decay_4+8")

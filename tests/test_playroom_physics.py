@@ -127,9 +127,3 @@ def test_addresses_are_of_the_episode() -> None:
     assert room.space is not kept
     assert room.addresses()[0] != space
     assert room.addresses()[1] == bodies
-
-
-def test_windows_passes_vectors_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chipmunk.sys, "platform", "win32")
-    with pytest.raises(RuntimeError, match="runs on Linux and macOS"):
-        Room(1, furnished=False).addresses()

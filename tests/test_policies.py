@@ -90,7 +90,7 @@ def test_a_policy_may_ask_what_it_is_to_play(made):
 
 def test_what_plays_nothing_is_refused():
     for nothing in (SimpleNamespace(), SimpleNamespace(for_envs=lambda *_: None)):
-        with pytest.raises(TypeError, match=r"policy is a .*evaluate\.trained\(folder\) makes"):
+        with pytest.raises(TypeError, match=r"policy is a .*zipf\.load_agent\(folder\) makes"):
             evaluate.score(nothing, episodes=5)
     for policy in (Counting(), SimpleNamespace(for_envs=lambda *_: scripted), "expert"):
         with pytest.raises(ValueError, match="batched=False"):

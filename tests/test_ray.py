@@ -80,7 +80,7 @@ def test_a_run_in_a_cluster_is_a_row_of_its_own(tmp_path):
         loading.load([*unnamed, *more]).condition
         for more in ([], ["runtime=ray"], ["runtime=ray", "runtime.address=auto"])
     ]
-    assert names[1].replace(",runtime=ray", "") == names[0] != names[1] == names[2]
+    assert names[1].replace("-runtime_ray", "") == names[0] != names[1] == names[2]
     local, cluster, elsewhere = (
         load(tmp_path, *more).what_is_learned
         for more in ([], ["runtime=ray"], ["runtime=ray", "runtime.address=auto"])

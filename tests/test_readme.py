@@ -25,7 +25,11 @@ from zipf.experiments.sweeping import search, sweeps
 from zipf.experiments.training import runner
 
 FOLDERS = ("configs/", "docs/", "examples/", "scripts/", "tests/", "zipf/")
-NOT_PATHS = {family.id for family in family.families().values()}
+NOT_PATHS = {
+    re.sub(r"\d+$", str(version), one.id)
+    for one in family.families().values()
+    for version in range(len(one.image_changes) + 1)
+}
 TAKES_LONG = re.compile(r"\.learn\(|zipf\.train\(|floors\.search\(|check_vector_env\(").search
 """Code that trains, searches or checks."""
 FLAGS = {"-m", "--multirun", "--help"}

@@ -63,7 +63,7 @@ Options:
                     such as impala,r2d2*; default: all
     highlight=NAMES   the conditions drawn in colour over grey ones; default: all of up to six, else
                     the six best by validation score, or by training score where there is none
-    claims=true     also check what the paper claims; default: false
+    claims=BOOL     true: also check what the paper claims; default: false
     record=FILE     also write all tables, a description of each run, and the Markdown files of the
                     folders to this Markdown file; default: no such file
     format=FORMAT   of the plots: png, pdf or svg; default: png
