@@ -1,10 +1,12 @@
 """Levels as dm_env environments: the library's own tests, and what an agent is told."""
 
+import sys
 from typing import Any
 
 import dm_env
 import numpy as np
 import pytest
+from absl import logging
 from absl.testing import absltest
 from dm_env import specs, test_utils
 
@@ -15,6 +17,9 @@ from zipf.adapters.dm_env import (
     zipfs_labyrinth,
     zipfs_playroom,
 )
+
+# Where logging is configured anew, as Submitit does, absl's handler closes its stream: here pytest's.
+logging.get_absl_handler().python_handler.stream = sys.__stderr__
 
 SMALL: dict[str, Any] = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 12}
 SETTINGS = zipfs_playroom.EnvironmentSettings(
