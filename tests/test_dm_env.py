@@ -18,7 +18,7 @@ from zipf.adapters.dm_env import (
     zipfs_playroom,
 )
 
-# Where logging is configured anew, as Submitit does, absl's handler closes its stream: here pytest's.
+# Where logging is configured anew, as by Submitit, absl's handler closes its stream, pytest's.
 logging.get_absl_handler().python_handler.stream = sys.__stderr__
 
 SMALL: dict[str, Any] = {"num_maps": 5, "num_rooms": (2, 2), "num_objects": 5, "max_steps": 12}
