@@ -34,10 +34,10 @@ def test_the_record_is_up_to_date(tmp_path, monkeypatch):
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(draw_matplotlib, "draw", lambda *_: {})  # the record has none
     record = tmp_path / "record.md"
-    report([Path("results")], output=tmp_path / "report", window="own", record=record)
+    report([Path("results")], output=tmp_path / "report", window="own", record=record, claims=True)
     ours = (ROOT / "docs" / "record.md").read_text().splitlines()
     assert record.read_text().splitlines()[1:] == ours[1:]
-    assert "`python -m zipf.report results window=own record=docs/record.md`" in ours[0]
+    assert "`python -m zipf.report results window=own claims=true record=docs/record.md`" in ours[0]
     scores_of_runs = keep_results.scores(load_runs(["results"]), Path("results"))
     assert scores_of_runs.to_csv(index=False) == Path("results/scores.csv").read_text()
 
