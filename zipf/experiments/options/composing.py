@@ -157,7 +157,7 @@ def _unreadable() -> str:
 @cache
 def _composed(search_path: str, *overrides: str) -> tuple[DictConfig, dict[str, str]]:
     _store()
-    with _hydra():
+    with hydra_at_configs():
         given = [override for override in (search_path, *overrides) if override]
         config = compose(config_files.PRIMARY, given, return_hydra_config=True)
     choices = {k: str(v) for k, v in config.hydra.runtime.choices.items()}
@@ -167,15 +167,18 @@ def _composed(search_path: str, *overrides: str) -> tuple[DictConfig, dict[str, 
 
 
 @contextmanager
-def _hydra() -> Iterator[None]:
+def hydra_at_configs(job_name: str = "app") -> Iterator[Any]:
     """Hydra at `configs/`, also while it runs the command. It is one for all threads, and
     afterwards as it was."""
     with _using_hydra:
         backup = GlobalHydra.instance().hydra
         GlobalHydra.instance().clear()
         try:
-            with initialize_config_dir(str(config_files.CONFIG_DIR), version_base="1.3"):
-                yield
+            place = str(config_files.CONFIG_DIR)
+            with initialize_config_dir(place, job_name=job_name, version_base="1.3"):
+                hydra = GlobalHydra.instance().hydra
+                assert hydra is not None
+                yield hydra
         finally:
             GlobalHydra.instance().hydra = backup
 
@@ -195,8 +198,8 @@ def config(name: str) -> tuple[dict[str, Any], Written | None]:
 def layers(*overrides: str) -> Layers:
     """What the configuration of these overrides, which can be composed, is composed of."""
     _store()
-    with _hydra():
-        loader = GlobalHydra.instance().config_loader()
+    with hydra_at_configs() as hydra:
+        loader = hydra.config_loader
         given = [override for override in (search_path(), *overrides) if override]
         found = loader.compute_defaults_list(config_files.PRIMARY, given, RunMode.RUN)
     configs = [

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import secrets
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -33,7 +32,7 @@ from zipf.experiments.playing.sessions import (
     situation_of,
 )
 from zipf.options import Options
-from zipf.output import is_quiet
+from zipf.output import console, is_quiet
 
 if TYPE_CHECKING:
     from zipf.experiments.evaluation.evaluator import Policy
@@ -234,7 +233,7 @@ def _progress(
 
     limits = [one.env.time_limit for one in levels]
     longest = None if None in limits else max(limit or 0 for limit in limits)
-    shown = sys.stdout.isatty() and not is_quiet()
+    shown = console().is_terminal and not is_quiet()
     columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
     with Progress(*columns, transient=True, disable=not shown) as bar:
         task = bar.add_task("recording", total=longest and longest * episodes)
@@ -271,15 +270,9 @@ def _make(level: str, level_options: dict[str, Any]) -> ZipfVectorEnv:
 
 
 def _check_spaces(level: str, env: ZipfVectorEnv, trained: TrainedAgent) -> None:
-    # All levels of a split have the same spaces.
-    known = trained.config.split.uniform[0]
-    learned = envs.make_vec(known, 1, **trained.config.level_options)
-    for space in ("single_observation_space", "single_action_space"):
-        if getattr(env, space) != getattr(learned, space):
-            raise UserError(
-                f"level={level}: has other observations or actions than the run's levels"
-            )
-    learned.close()
+    spaces = env.single_observation_space, env.single_action_space
+    if spaces != (trained.observation_space, trained.action_space):
+        raise UserError(f"level={level}: has other observations or actions than the run's levels")
 
 
 class _Random:

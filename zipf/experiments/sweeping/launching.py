@@ -11,9 +11,7 @@ from types import FrameType
 from typing import Any
 
 import torch
-from hydra import initialize_config_dir
 from hydra._internal.callbacks import Callbacks
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.errors import HydraException
 from hydra.plugins.launcher import Launcher
@@ -24,7 +22,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from zipf.errors import EXPECTED, UserError
 from zipf.experiments.options import composing
-from zipf.experiments.options.config_files import CONFIG_DIR, PRIMARY
+from zipf.experiments.options.config_files import PRIMARY
 from zipf.experiments.sweeping import sweeps
 from zipf.experiments.sweeping.job import GPUS, POLL, Job, Jobs, Outcome, failed
 from zipf.experiments.sweeping.progress import SweepProgress
@@ -145,12 +143,8 @@ def launcher(
     if options_of and not any(word.startswith("hydra/launcher=") for word in words):
         raise UserError(f"{options_of[0]}: choose the launcher too, as in hydra/launcher=joblib")
     given = [word for word in (composing.search_path(), *words, *run_root) if word]
-    backup = GlobalHydra.instance().hydra
-    GlobalHydra.instance().clear()
     try:
-        with initialize_config_dir(str(CONFIG_DIR), version_base="1.3", job_name="zipf"):
-            hydra = GlobalHydra.instance().hydra
-            assert hydra is not None
+        with composing.hydra_at_configs(job_name="zipf") as hydra:
             config = hydra.compose_config(
                 config_name=PRIMARY,
                 overrides=given,
@@ -164,8 +158,6 @@ def launcher(
         made = get_class(kind)(**options)
     except (HydraException, OmegaConfBaseException, TypeError) as error:
         raise UserError(composing.message_of(error)) from None
-    finally:
-        GlobalHydra.instance().hydra = backup
     note = ""
     if kind.endswith(".submitit_launcher.LocalLauncher") and options["gpus_per_node"] is None:
         # Submitit would hide all GPUs. With this they see what they would see without a launcher.
