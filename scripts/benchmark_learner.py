@@ -152,7 +152,7 @@ def measure(
     config = loading.load(
         [f"experiment={experiment}", f"precision={variant.precision}", f"device={device}"]
     )
-    env = envs.make_vec(envs.split(config.environment.split).uniform[0], 1, **config.level_options)
+    env = envs.make_vec(envs.split(config.environment.split).train[0], 1, **config.level_options)
     agent = build_agent(config, env)
     assert isinstance(agent, Impala)
     spaces = dict(env.single_observation_space.spaces)

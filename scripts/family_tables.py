@@ -35,7 +35,7 @@ def families(folder: str) -> list[str]:
                 f"[{code(family.name)}]({folder}/{family.name}.md)",
                 family.summary,
                 code(family.id) if family.id else "",
-                ", ".join(code(split.name) for split in family.splits),
+                ", ".join(map(code, family.split_names)),
             )
             for family in envs.families().values()
         ),
@@ -51,7 +51,7 @@ def family(name: str) -> list[str]:
     of_a_level = type(envs.make_vec(f"{name}/{found.levels[0]}", 1))
     facts = [
         ("Gymnasium id", code(str(found.id))),
-        ("Splits", ", ".join(code(split.name) for split in found.splits)),
+        ("Splits", ", ".join(map(code, found.split_names))),
         ("Observations", "; ".join(_spaces(batch.single_observation_space))),
         ("Actions", code(str(batch.single_action_space))),
         ("Situation", _situation(batch.situation)),
@@ -93,6 +93,8 @@ def levels(family: str) -> list[str]:
     found = envs.find_family(family)
     uses: dict[str, list[str]] = {}
     for split in found.splits:
+        if split.kinds == ("train",):  # one level alone
+            continue
         for kind in split.kinds:
             for level in split.levels(kind):
                 uses.setdefault(level.name, []).append(f"{code(split.name)} ({kind})")

@@ -15,6 +15,7 @@ from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation import evaluator, scoring
 from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.reporting import markdown
+from zipf.report import report
 
 SMALL = {"num_rooms": (2, 2), "num_objects": 5}
 
@@ -113,6 +114,22 @@ def test_a_split_without_further_kinds_is_valid() -> None:
     with pytest.raises(ValueError, match="and may have one for validation and fresh"):
         envs.Split("own", *["gridworld/rare"] * 3, episodes={"train": 1, "uniform": 1})
     assert envs.split("gridworld").episodes_of("fresh") == 1000
+
+
+def test_a_split_may_have_nothing_but_levels_to_train_on(tmp_path: Path) -> None:
+    split = envs.split("labyrinth_rooms_watermaze")
+    assert split.kinds == ("train",)
+    assert [one.name for one in split.all_levels] == ["labyrinth/rooms_watermaze"]
+    alone = envs.Split("own", "gridworld/zipf_2")
+    assert list(evaluate.score(evaluator_policy(), alone, episodes=4, **SMALL)) == ["train"]
+    levels = [level("train", "gridworld/zipf_2")]
+    for seed in range(3):
+        scores = {update: (0.9 - 0.1 * seed,) for update in (100, 200, 300)}
+        write_run(tmp_path, scores, condition="impala", levels=levels, seed=seed)
+    report(tmp_path, tmp_path / "report", html=tmp_path / "report.html", claims=True)
+    text = (tmp_path / "report" / "report.md").read_text()
+    assert "| Condition | Seeds | Train (Zipfian) |" in text
+    assert "| IMPALA | 3 | 0.80 ± 0.10 |" in text
 
 
 def test_uniform_training_has_a_split_in_every_family() -> None:

@@ -157,7 +157,7 @@ def test_a_missing_column_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
             "levels.0.level_kind: Value error, should be",
         ),
         ({"levels": [level("train", "a"), level("train", "a")]}, "two train levels have the same"),
-        ({"levels": [level("train", "a")]}, "levels: there is no uniform level"),
+        ({"levels": [level("uniform", "a")]}, "levels: there is no train level"),
         ({"levels": [level("train", "a", -1.0)]}, "levels.0.weight: Input should be greater than"),
         ({"row": row_of("impala") | {"colour": "blue"}}, "row.colour: String should match"),
         ({"row": row_of("impala") | {"line": "wavy"}}, "row.line: Input should be 'solid'"),

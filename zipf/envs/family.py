@@ -151,6 +151,18 @@ class Family:
         """The class of the constructor options."""
         return _loaded(self.options)
 
+    @property
+    def split_names(self) -> tuple[str, ...]:
+        """The names of the splits, for a list of them: `<family>_<level>` stands for those of one
+        level alone."""
+        alone = {f"{self.name}_{level}" for level in self.levels}
+        pattern = f"{self.name}_<level>"
+        names = (
+            pattern if one.kinds == ("train",) and one.name in alone else one.name
+            for one in self.splits
+        )
+        return tuple(dict.fromkeys(names))
+
     def split(self, name: str) -> Split:
         """The split of this name.
 

@@ -121,7 +121,8 @@ class Split:
 
     Attributes:
         name: unique among all splits.
-        train, uniform, rare: the levels of each kind.
+        train, uniform, rare: the levels of each kind. A split of what has no tail, such as one task
+            alone, has train levels and no others.
         validation, fresh: the same of the kinds that not every split has; empty where it has none.
         draw: how envs share several train levels: "worlds": evenly, each env has one level for
             good; "resets": at every reset an env draws its level in proportion to the weights.
@@ -133,14 +134,14 @@ class Split:
             the options' defaults; None: none of them.
 
     Raises:
-        ValueError: one of `PAPER_KINDS` has no level, a kind has one level twice, or two levels
-            have the same name.
+        ValueError: there is no train level, a kind has one level twice, or two levels have the
+            same name.
     """
 
     name: str
     train: Any
-    uniform: Any
-    rare: Any
+    uniform: Any = ()
+    rare: Any = ()
     draw: Literal["worlds", "resets"] = "worlds"
     episodes: Mapping[str, int] = field(
         default_factory=lambda: MappingProxyType(dict.fromkeys(PAPER_KINDS, 1000)),  # the paper's
@@ -155,8 +156,8 @@ class Split:
         for kind in KINDS:
             levels = _split_levels(getattr(self, kind))
             names = [one.name for one in levels]
-            if not names and kind in PAPER_KINDS:
-                raise ValueError(f"split {self.name!r} has no {kind} level")
+            if not names and kind == "train":
+                raise ValueError(f"split {self.name!r} has no train level")
             if twice := sorted({name for name in names if names.count(name) > 1}):
                 raise ValueError(f"split {self.name!r} has the {kind} level {twice[0]} twice")
             object.__setattr__(self, kind, levels)

@@ -128,17 +128,18 @@ units of human scores; for a single task's score it is 0.008 to 0.023 on average
 """
 
 
+def _normalised(task: str, weight: float = 1.0) -> SplitLevel:
+    normalisation = Normalisation(LEVELS[task].random, LEVELS[task].human)
+    return SplitLevel(f"labyrinth/{task}", weight, normalisation=normalisation)
+
+
 def _split(name: str, order: str, trained: str = "zipf_1", paper: str | None = None) -> Split:
     names = _tasks(order)
 
     def weighted(distribution: str) -> tuple[SplitLevel, ...]:
         probabilities = distributions.by_name(distribution)(len(names))
         return tuple(
-            SplitLevel(
-                f"labyrinth/{task}",
-                float(p),
-                normalisation=Normalisation(LEVELS[task].random, LEVELS[task].human),
-            )
+            _normalised(task, float(p))
             for task, p in zip(names, probabilities, strict=True)
             if p > 0
         )
@@ -160,6 +161,8 @@ SPLITS = (
     _split("labyrinth_forward", "forward", paper="labyrinth_forward"),
     _split("labyrinth_reversed", "reversed", paper="labyrinth_reversed"),
     _split("labyrinth_uniform", "forward", "uniform"),  # ours: uniform training, to compare with
+    *(Split(f"labyrinth_{task}", _normalised(task)) for task in LEVELS),  # ours: one task alone
 )
-"""Human-normalised scores of the tasks, averaged by their weights: Zipf's law in training (the last
-trains evenly), evenly over all tasks, over the rarest fifth, and over the middle fifth."""
+"""Human-normalised scores of the tasks, averaged by their weights: Zipf's law in training (the third
+trains evenly), evenly over all tasks, over the rarest fifth, and over the middle fifth. Then a
+split for each task, which trains on it alone and has no other levels."""

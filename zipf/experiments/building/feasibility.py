@@ -284,7 +284,7 @@ def _too_large(options: str, what: str, count: int, each: int) -> str | None:
 
 def _frame_bytes(config: Config) -> int:
     """RAM for a frame of one env: the observation and what is kept beside it."""
-    env = envs.make_vec(config.split.uniform[0], 1, **config.level_options)
+    env = envs.make_vec(config.split.train[0], 1, **config.level_options)
     env.close()
     return sum(part.nbytes for part in env.allocate().values()) + BESIDE_A_FRAME
 

@@ -192,7 +192,7 @@ def load_agent(
     if config.precision == "bfloat16" and not has_bfloat16(config.torch_device):
         config = config.model_copy(update={"precision": "float32"})
     # All levels of a split have the same spaces.
-    env = envs.make_vec(config.split.uniform[0], 1, **config.level_options)
+    env = envs.make_vec(config.split.train[0], 1, **config.level_options)
     agent = build_agent(config, env)
     env.close()
     with run_folder.fits(path):

@@ -122,8 +122,7 @@ def _all_choices() -> str:
 
 
 def _described(family: envs.Family) -> str:
-    splits = ", ".join(split.name for split in family.splits)
-    return f"{family.summary}; environment.split={splits}"
+    return f"{family.summary}; environment.split={', '.join(family.split_names)}"
 
 
 def _columns(rows: Iterable[tuple[str, str]]) -> str:

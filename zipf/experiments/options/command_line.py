@@ -251,7 +251,7 @@ def has_instruction(environment: dict[str, Any]) -> bool:
     if key not in _instructed:
         options = {name: value for name, value in environment.items() if name != "split"}
         try:
-            env = envs.make_vec(envs.split(environment["split"]).uniform[0], 1, **options)
+            env = envs.make_vec(envs.split(environment["split"]).train[0], 1, **options)
             _instructed[key] = "instruction" in env.single_observation_space.spaces
             env.close()
         except (ValueError, TypeError, MemoryError):

@@ -263,7 +263,7 @@ def _playable(folder: Path, trained: TrainedAgent) -> None:
             f"videos: {folder.as_posix()} is of a classifier, which answers questions and does "
             "not act"
         )
-    with closing(_envs(trained, trained.config.split.uniform[0], 1)) as env:
+    with closing(_envs(trained, trained.config.split.train[0], 1)) as env:
         for has, lacks in (
             (env.reports_success, "report no success"),
             (env.metadata.get("render_modes"), "draw no pictures"),

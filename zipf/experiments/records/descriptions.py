@@ -13,7 +13,7 @@ from zipf.errors import UserError
 from zipf.experiments.records.csv_files import plain, read_bytes
 from zipf.experiments.records.wording import EXTERNAL_MARK
 from zipf.options import Positive
-from zipf.protocol import BASELINE_NAMES, KINDS, PAPER_KINDS
+from zipf.protocol import BASELINE_NAMES, KINDS
 
 LINE_PATTERN = r"^[^\r\n]*$"
 COLOUR_PATTERN = r"^#[0-9a-fA-F]{6}$"
@@ -144,8 +144,8 @@ class RunDescription(_Described):
             raise ValueError(f"window {list(self.window)} ends before it starts")
         for level_kind in KINDS:
             names = [one.level for one in self.levels if one.level_kind == level_kind]
-            if not names and level_kind in PAPER_KINDS:
-                raise ValueError(f"levels: there is no {level_kind} level")
+            if not names and level_kind == "train":
+                raise ValueError("levels: there is no train level")
             if len(set(names)) < len(names):
                 raise ValueError(f"levels: two {level_kind} levels have the same name")
         return self

@@ -242,7 +242,8 @@ def _envs(run: Run) -> dict[str, Any]:
             for one in description.levels
             if one.level_kind == kind
         )
-        levels.append(f"{kind}: {', '.join(each)}")
+        if text := ", ".join(each):
+            levels.append(f"{kind}: {text}")
     return {
         "split": description.split,
         "levels": "; ".join(levels),

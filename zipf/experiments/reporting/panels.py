@@ -509,9 +509,11 @@ def averages(table: ScoreTable, looks: Looks) -> Chart | None:
     with its lowest and highest seed; those of policies that do not learn below, in grey.
 
     After the paper's figure of one agent, almost perfect on the training distribution and below
-    60 % on the rarest objects. None without a score.
+    60 % on the rarest objects. None without a score, or where not all three kinds have levels.
     """
     scores = table.scores.pivot(index="row", columns="level_kind", values="shown")
+    if not set(PAPER_KINDS) <= set(scores):
+        return None
     scores = scores[[*PAPER_KINDS]]
     rows = [row for row in table.rows if scores.loc[row.key].notna().any()]
     if not rows:

@@ -278,6 +278,8 @@ def _visits(table: ScoreTable) -> Grid | None:
             rank = name.removeprefix("visits_").replace("_", " ")
             columns[name] = "Situation met" if name == "visits" else f"{rank.capitalize()} met"
         scores = table.scores[table.scores["row"] == row.key].set_index("level_kind")
+        if "rare" not in scores.index:
+            return None
         leading = [
             row.title,
             seeds_text(_seeds(table, row)),

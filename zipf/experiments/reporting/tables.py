@@ -236,7 +236,8 @@ def _window_notes(run: Run, window: Window) -> list[str]:
             f"has {number} evaluation{'s' if number > 1 else ''}{beside}, not "
             f"{window.count}: scored over what there is."
         )
-    missing = set(PAPER_KINDS) - set(inside["level_kind"])
+    known = {level.level_kind for level in run.description.levels}
+    missing = known.intersection(PAPER_KINDS) - set(inside["level_kind"])
     if missing:
         found.append(f"no evaluation of {', '.join(sorted(missing))}; not counted there.")
     if isinstance(window, ScaledWindow) and inside["update"].max() < window.end:
