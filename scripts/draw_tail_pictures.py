@@ -19,9 +19,9 @@ import matplotlib
 matplotlib.use("agg")
 
 import matplotlib.pyplot as plt
+import number_tables
 import numpy as np
 import pandas as pd
-import tail_table
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -166,7 +166,8 @@ def main() -> None:
 
 def label(task: Task, name: str) -> str:
     """An agent's name in the page's table, or its own where that has none."""
-    titles = {one.folder: one.title for table in tail_table.TASKS for one in table.agents}
+    tables = number_tables.TASKS.values()
+    titles = {one.folder: one.title for table in tables for one in table.agents}
     text = titles.get(f"{task.experiment}/{name}", task.agents[name].label).replace("`", "")
     return textwrap.fill(text, 44)
 

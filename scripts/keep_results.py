@@ -7,16 +7,15 @@ Rows are added to the tables of the record (`zipf.experiments.records.record`), 
 those that the same run may have there, and `results/scores.csv` is written anew: the score of every
 run on every kind of level, the median of the evaluations in its window. Checkpoints, TensorBoard's
 files and situations outside the window are not taken. With `--weights` the run's folder in
-`results/` has its weights, options and description as well: some megabytes, which let others play
-the agent and begin with it. `run_root` is left out of the options: it changes nothing and tells
-where somebody keeps their runs. A run whose files are damaged is refused.
+`results/` has its weights, in bfloat16, options and description as well: some megabytes, which let
+others play the agent and begin with it. `run_root` is left out of the options: it changes nothing
+and tells where somebody keeps their runs. A run whose files are damaged is refused.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
 from pathlib import Path
 
@@ -24,6 +23,7 @@ import pandas as pd
 import yaml
 
 from zipf.errors import EXPECTED, UserError, tell
+from zipf.experiments.building import checkpoint
 from zipf.experiments.records import record
 from zipf.experiments.records.csv_files import read_texts
 from zipf.experiments.records.record import Record
@@ -63,7 +63,11 @@ def keep(kept: Record, folder: Path, *, weights: bool = False) -> str:
     if weights:
         target = RESULTS / name
         target.mkdir(parents=True, exist_ok=True)
-        shutil.copy(folder / "weights.pt", target / "weights.pt")
+        learned = checkpoint.load(folder / "weights.pt")
+        for place, values in learned["weights"].items():
+            if values.is_floating_point():
+                learned["weights"][place] = values.bfloat16()
+        checkpoint.save(target / "weights.pt", learned)
         (target / "run.json").write_text(json.dumps(description, indent=2) + "\n", "utf-8")
         options = yaml.safe_dump(kept.options[name], sort_keys=False)
         (target / "config.yaml").write_text(options, "utf-8")

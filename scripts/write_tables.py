@@ -20,7 +20,7 @@ from pathlib import Path
 import agent_tables
 import device_table
 import family_tables
-import tail_table
+import number_tables
 from tables import code, markdown
 
 from zipf import envs
@@ -156,12 +156,12 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "modules": modules,
     "file": file,
     "glossary": glossary,
-    "tail": tail_table.tail,
-    "tail_best": tail_table.best,
-    "tail_situations": tail_table.situations,
-    "comparison": tail_table.comparison,
-    "runs": tail_table.runs,
-    "claims": tail_table.claims,
+    "numbers": number_tables.numbers,
+    "tail_best": number_tables.best,
+    "tail_situations": number_tables.situations,
+    "comparison": number_tables.comparison,
+    "runs": number_tables.runs,
+    "claims": number_tables.claims,
 }
 
 

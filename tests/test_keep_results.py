@@ -7,6 +7,7 @@ from pathlib import Path
 import keep_results
 import pandas as pd
 import pytest
+import torch
 from run_folders import (
     SITUATIONS,
     change_description,
@@ -19,6 +20,7 @@ from run_folders import (
 
 from zipf import report
 from zipf.errors import UserError
+from zipf.experiments.building import checkpoint
 from zipf.experiments.records import record
 from zipf.experiments.records.record import Record
 from zipf.experiments.records.results import Run, load_run, load_runs
@@ -143,12 +145,16 @@ def test_weights_are_kept_if_asked_for(tmp_path: Path, results: Path) -> None:
     with pytest.raises(UserError, match=r"has no weights\.pt"):
         keep_results.keep(found, folder, weights=True)
     assert found == Record()
-    (folder / "weights.pt").write_bytes(b"weights")
+    learned = {"layer": torch.tensor([1.0, 1 / 3]), "count": torch.tensor(3)}
+    checkpoint.save(folder / "weights.pt", {"update": 7, "weights": learned})
     name = keep_results.keep(found, folder)
     assert list(results.iterdir()) == []
     keep_results.keep(found, folder, weights=True)
     record.write(results, found)
-    assert (results / name / "weights.pt").read_bytes() == b"weights"
+    taken = checkpoint.load(results / name / "weights.pt")
+    assert taken["update"] == 7
+    assert taken["weights"]["layer"].tolist() == [1.0, 0.333984375]  # bfloat16's
+    assert taken["weights"]["count"] == 3
     described = json.loads((results / name / "run.json").read_text())
     assert described["command"] == "python -m zipf.train seed=0"
     (only,) = load_runs([results])  # once, and from the record

@@ -163,6 +163,6 @@ SPLITS = (
     _split("labyrinth_uniform", "forward", "uniform"),  # ours: uniform training, to compare with
     *(Split(f"labyrinth_{task}", _normalised(task)) for task in LEVELS),  # ours: one task alone
 )
-"""Human-normalised scores of the tasks, averaged by their weights: Zipf's law in training (the third
-trains evenly), evenly over all tasks, over the rarest fifth, and over the middle fifth. Then a
-split for each task, which trains on it alone and has no other levels."""
+"""Human-normalised scores of the tasks, averaged by their weights: Zipf's law in training (the
+third trains evenly), evenly over all tasks, over the rarest fifth, and over the middle fifth. Then
+a split for each task, which trains on it alone and has no other levels."""

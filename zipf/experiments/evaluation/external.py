@@ -128,6 +128,7 @@ def record(
         "situation": _situation(split, level_options),
         "external": {"name": name, "geometry": env_options(split, **level_options)},
         "version": zipf.__version__,
+        "images": _images(split),
         "python": platform.python_version(),
         **{library: _version(library) for library in LIBRARIES},
         "recorded": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
@@ -213,6 +214,13 @@ def _environment(split: envs.Split, level_options: Mapping[str, Any]) -> dict[st
 def _paper(split: envs.Split, level_options: Mapping[str, Any]) -> str | None:
     """The paper's experiment, where the envs are those of the benchmark."""
     return split.paper if _environment(split, level_options) == _environment(split, {}) else None
+
+
+def _images(split: envs.Split) -> int:
+    """The version of the images, as a run of ours has it."""
+    if split.name not in envs.all_splits():
+        return 0
+    return len(envs.family_of_split(split.name).image_changes)
 
 
 def _situation(split: envs.Split, level_options: Mapping[str, Any]) -> dict[str, int]:

@@ -133,6 +133,7 @@ class RunDescription(_Described):
     torch: str | None = None
     device: str | None = None
     precision: str | None = None
+    images: Count | None = None
     pretrained: PretrainedDescription | None = None
     resumed: tuple[dict[str, Any], ...] = ()
 

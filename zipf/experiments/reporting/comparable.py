@@ -248,6 +248,7 @@ def _envs(run: Run) -> dict[str, Any]:
         "split": description.split,
         "levels": "; ".join(levels),
         "spread": description.spread,
+        "images": f"v{description.images or 0}",
         **{f"environment.{name}": value for name, value in description.environment.items()},
     }
 

@@ -1,0 +1,226 @@
+"""The tables of the record's numbers, from the runs in results/."""
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from statistics import median
+from typing import Any, NamedTuple
+
+import yaml
+from tables import code, markdown
+
+from zipf import envs
+from zipf.experiments.building.run_folder import describe_levels, mean_of_levels
+from zipf.experiments.options import catalogue, composing
+from zipf.experiments.records.paper import paper_table
+from zipf.experiments.records.results import Run, load_runs
+from zipf.experiments.records.wording import KIND_NAMES, NONE, count_text, range_text, score_text
+from zipf.experiments.reporting.claims import check_claims
+from zipf.experiments.reporting.comparable import Row
+from zipf.experiments.reporting.seed_statistics import (
+    bootstrap_of_situations,
+    success_by_situation,
+)
+from zipf.experiments.reporting.tables import ScoreTable, score_tables
+from zipf.protocol import BASELINES, PAPER_KINDS
+
+RESULTS = Path(__file__).parent.parent / "results"
+UNTUNED = ("r2d2", "r2d2_uniform_replay", "vmpo")
+"""Conditions whose values in `gridworld_compact` were not tuned; those of the others were."""
+COLUMNS = ("train", "validation", "uniform", "rare", "fresh")
+"""Kinds of levels in the order of the columns: what is chosen by, then what is reported."""
+
+
+class Agent(NamedTuple):
+    """A row; `results/numbers.yaml` has its fields."""
+
+    title: str
+    beyond: str
+    folder: str
+    command: str
+    readme: str | None = None
+
+
+class Task(NamedTuple):
+    """A task: its title, the paper's experiment, and the rows of the record to show."""
+
+    title: str
+    paper: str
+    agents: tuple[Agent, ...]
+
+
+def _tasks() -> dict[str, Task]:
+    tasks = yaml.safe_load((RESULTS / "numbers.yaml").read_text("utf-8"))
+    return {
+        name: Task(task["title"], task["paper"], tuple(Agent(**row) for row in task["agents"]))
+        for name, task in tasks.items()
+    }
+
+
+TASKS = _tasks()
+
+
+def numbers(name: str) -> list[str]:
+    """The lines of a task's table, then the commands of its rows."""
+    task = TASKS[name]
+    split = composing.composed(f"experiment={task.paper}").values["environment"]["split"]
+    kinds = [kind for kind in COLUMNS if envs.split(split).levels(kind)]
+    rows = [_published(task, kinds, hours=True)]
+    levels = _levels(task.agents[0].folder)
+    for one in BASELINES:
+        rows.append((one.title, "", "", "", "", *_known(levels, one.name, kinds)))
+    rows += [_shown(agent, agent.title, kinds, hours=True) for agent in task.agents]
+    counts = ("Seeds", "Frames", "Hours", *(KIND_NAMES[kind] for kind in kinds))
+    table = markdown(("Agent", "Beyond pixels and rewards", *counts), rows, right=counts)
+    commands = (
+        [f"# {agent.title.replace('`', '')}", f"python -m zipf.train {agent.command}"]
+        for agent in task.agents
+    )
+    return [*table, "", "```sh", *(line for pair in commands for line in pair), "```"]
+
+
+def best() -> list[str]:
+    """The lines of README's table: rows with three seeds, and no baseline but blind."""
+    rows: list[tuple[str, ...]] = []
+    for task in TASKS.values():
+        shown = [agent for agent in task.agents if agent.readme]
+        if not shown:
+            continue
+        levels = _levels(shown[0].folder)
+        rows.append((task.title, *_published(task, PAPER_KINDS)))
+        rows.append(("", "Blind", "", "", "", *_known(levels, "blind", PAPER_KINDS)))
+        rows += [("", *_shown(agent, str(agent.readme), PAPER_KINDS)) for agent in shown]
+    counts = ("Seeds", "Frames", *(KIND_NAMES[kind] for kind in PAPER_KINDS))
+    return markdown(("Task", "Agent", "Beyond pixels and rewards", *counts), rows, right=counts)
+
+
+def _known(levels: list[dict[str, Any]], baseline: str, kinds: Sequence[str]) -> list[str]:
+    means = (mean_of_levels(levels, kind, baseline) for kind in kinds)
+    return [NONE if mean is None else score_text(mean) for mean in means]
+
+
+def _published(task: Task, kinds: Sequence[str], *, hours: bool = False) -> tuple[str, ...]:
+    """The best score of any of the paper's agents in each column."""
+    values = composing.composed(f"experiment={task.paper}").values
+    collector = values["collector"]
+    frames = values["updates"] * collector["num_envs"] * collector["unroll_length"]
+    name = {"playroom_find": "playroom_finding", "playroom_lift": "playroom_lifting"}
+    published = paper_table(name.get(task.paper, task.paper)).rows.values()
+    scores = [[row[kind].value for row in published if kind in row] for kind in kinds]
+    texts = [score_text(max(each)) if each else "" for each in scores]
+    spent = [""] if hours else []
+    return ("the paper's best", "", "3", count_text(frames), *spent, *texts)
+
+
+def _shown(
+    agent: Agent, title: str, kinds: Sequence[str], *, hours: bool = False
+) -> tuple[str, ...]:
+    """Frames and hours are those of the runs that an agent began with, too."""
+    table, row = _row(agent.folder)
+    scores = table.scores[table.scores["row"] == row.key].set_index("level_kind")
+    seeds, frames = int(scores["seeds"].min()), int(scores["frames"].min())
+    began = (run.description.pretrained for run in row.runs)
+    frames += max(one.frames if one else 0 for one in began)
+    texts = [score_text(scores["score"].get(kind, float("nan"))) for kind in kinds]
+    if len(found := success_by_situation(row, table)):
+        _, low, high = bootstrap_of_situations(found)
+        texts[kinds.index("rare")] += f" [{score_text(low)}, {score_text(high)}]"
+    if len(changes := envs.family_of_split(table.description.split).image_changes):
+        version = min(run.description.images or 0 for run in row.runs)
+        title += f" (images v{version})" if version < len(changes) else ""
+    spent = [f"{median(map(_hours, row.runs)):.1f}"] if hours else []
+    return (title, agent.beyond, str(seeds), f"{frames / 1e6:,.1f} M", *spent, *texts)
+
+
+def _hours(run: Run) -> float:
+    """Of a run and of those that it began with, where the record has them."""
+    before = 0.0
+    if there := run.description.pretrained:
+        folder = RESULTS / there.experiment / there.condition / f"seed{there.seed}"
+        before = sum(_hours(one) for one in _all_runs() if one.folder == folder)
+    return run.seconds / 3600 + before
+
+
+def _levels(folder: str) -> list[dict[str, Any]]:
+    """The levels that a condition's runs act on, with what is known of baselines now."""
+    table, _ = _row(folder)
+    return describe_levels(envs.split(table.description.split), table.description.environment)
+
+
+def _runs(folder: str) -> list[Run]:
+    return [run for run in _all_runs() if run.folder.is_relative_to(RESULTS / folder)]
+
+
+@cache
+def _all_runs() -> list[Run]:
+    return load_runs([RESULTS])
+
+
+@cache
+def _row(folder: str) -> tuple[ScoreTable, Row]:
+    """The table of a condition's runs alone, and its only row."""
+    (table,) = score_tables(_runs(folder), "own")
+    (row,) = table.rows
+    return table, row
+
+
+def situations() -> list[str]:
+    """Success of the best agents of the gridworld in each rare situation, by seed."""
+    agents = [TASKS["gridworld"].agents[place] for place in (2, 4, 6)]
+    found = {agent: success_by_situation(*reversed(_row(str(agent.folder)))) for agent in agents}
+    names = sorted({name for rates in found.values() for name in rates.columns})
+    rows = [
+        (
+            str(map),
+            str(target),
+            *(" / ".join(f"{p:.2f}" for p, _ in rates[map, target]) for rates in found.values()),
+        )
+        for map, target in names
+    ]
+    columns = [agent.title for agent in agents]
+    return markdown(("Map", "Target", *columns), rows, right=("Map", "Target", *columns))
+
+
+def runs() -> list[str]:
+    """The lines of a table of the experiments of the record."""
+    rows = []
+    for name in sorted({run.description.experiment for run in _all_runs()}):
+        of_it = _runs(name)
+        conditions = {run.description.condition for run in of_it}
+        started = min(str(run.description.version) for run in of_it)
+        frames = range_text([run.frames for run in of_it])
+        what = (catalogue.summary("experiment", name), str(len(conditions)), str(len(of_it)))
+        rows.append((code(name), *what, frames, started))
+    numbers = ("Conditions", "Runs", "Frames of each")
+    return markdown(("Experiment", "What it is", *numbers, "From version"), rows, right=numbers)
+
+
+def claims() -> list[str]:
+    """The lines of a table of the paper's claims about which there are scores."""
+    header = ("Claim of the paper", "Table", "Outcome", "On the paper's numbers")
+    lines = check_claims(score_tables(_all_runs(), "own"))
+    return markdown(
+        header,
+        (
+            (line.claim.statement, code(line.table), line.outcome, line.paper or NONE)
+            for line in lines
+            if line.at_hand
+        ),
+    )
+
+
+def comparison(experiment: str) -> list[str]:
+    """The lines of a table of an experiment's conditions, in the order of all tables."""
+    (table,) = score_tables(_runs(experiment), "own")
+    scores = table.scores.set_index(["condition", "level_kind"])
+    rows: list[tuple[str, ...]] = []
+    for name in table.scores["condition"].unique():
+        of_kinds = [scores.loc[name, kind] for kind in PAPER_KINDS]
+        shown = (score_text(one["score"], one["error"]) for one in of_kinds)
+        title = code(name) + (", not tuned" if name in UNTUNED else "")
+        rows.append((title, str(min(int(one["seeds"]) for one in of_kinds)), *shown))
+    for baseline in BASELINES:
+        known = table.baseline(baseline.name)
+        rows.append((baseline.title, "", *(f"{known[kind]:.2f}" for kind in PAPER_KINDS)))
+    numbers = ("Seeds", *(KIND_NAMES[kind] for kind in PAPER_KINDS))
+    return markdown(("Condition", *numbers), rows, right=numbers)
