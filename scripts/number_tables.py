@@ -76,7 +76,18 @@ def numbers(name: str) -> list[str]:
         [f"# {agent.title.replace('`', '')}", f"python -m zipf.train {agent.command}"]
         for agent in task.agents
     )
-    return [*table, "", "```sh", *(line for pair in commands for line in pair), "```"]
+    lines = [*table, "", "```sh", *(line for pair in commands for line in pair), "```"]
+    weights = [line for agent in task.agents for line in _weights(agent)]
+    return [*lines, "", "Weights:", "", *weights] if weights else lines
+
+
+def _weights(agent: Agent) -> list[str]:
+    """A line for each of its runs whose weights come with the repository."""
+    return [
+        f"- {agent.title}, seed {path.parent.name.removeprefix('seed')}: "
+        f"`zipf.load_agent(\"{path.parent.relative_to(RESULTS.parent)}\")`"
+        for path in sorted((RESULTS / agent.folder).glob("seed*/weights.pt"))
+    ]
 
 
 def best() -> list[str]:
