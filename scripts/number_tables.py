@@ -85,7 +85,7 @@ def _weights(agent: Agent) -> list[str]:
     """A line for each of its runs whose weights come with the repository."""
     return [
         f"- {agent.title}, seed {path.parent.name.removeprefix('seed')}: "
-        f"`zipf.load_agent(\"{path.parent.relative_to(RESULTS.parent)}\")`"
+        f'`zipf.load_agent("{path.parent.relative_to(RESULTS.parent)}")`'
         for path in sorted((RESULTS / agent.folder).glob("seed*/weights.pt"))
     ]
 

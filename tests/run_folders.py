@@ -16,6 +16,7 @@ from zipf import envs, report
 from zipf.experiments.options import command_line, config_files
 from zipf.experiments.records import results
 from zipf.experiments.reporting import (
+    charts,
     draw_matplotlib,
     panels,
     seed_statistics,
@@ -180,8 +181,8 @@ def only_table(folder: Path, window: str | None = None) -> tables.ScoreTable:
 
 def picture_of(table: tables.ScoreTable, kind: str) -> Figure:
     """The picture of a table of one of `zipf.experiments.reporting.markdown.PLOT_KINDS`."""
-    charts = panels.charts(seed_statistics.seed_statistics(table), panels.looks_of([table]))
-    return draw_matplotlib.picture(next(chart for chart in charts if chart.kind == kind))
+    found = charts.charts(seed_statistics.seed_statistics(table), panels.looks_of([table]))
+    return draw_matplotlib.picture(next(chart for chart in found if chart.kind == kind))
 
 
 def labels(figure: Figure) -> list[str]:

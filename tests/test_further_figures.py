@@ -18,17 +18,15 @@ from run_folders import (
     write_run,
 )
 
-from zipf.experiments.reporting.panels import (
+from zipf.experiments.reporting.charts import (
     KIND_MARKS,
     ZERO,
-    Chart,
-    Looks,
     averages,
     by_visits,
     frequencies,
     learning_curves,
-    looks_of,
 )
+from zipf.experiments.reporting.panels import Chart, Looks, looks_of
 from zipf.experiments.reporting.situations import shares
 from zipf.experiments.reporting.tables import ScoreTable
 

@@ -40,10 +40,10 @@ from zipf.errors import UserError
 from zipf.experiments.options import command_line
 from zipf.experiments.records import paper, results, wording
 from zipf.experiments.reporting import (
+    charts,
     comparable,
     grids,
     markdown,
-    panels,
     scores,
     statistics,
     tables,
@@ -400,7 +400,7 @@ def test_each_runs_own_window_in_one_table(tmp_path: Path) -> None:
     assert "| 100 to 300 |" in shown
     assert "| 50 to 100, 200 to 200 |" in shown
     assert grids.caption(table).startswith("The updates in the column Window. Episodes")
-    assert panels.window_ends(table, "update") is None
+    assert charts.window_ends(table, "update") is None
 
 
 def test_where_all_runs_have_the_same_own_window_nothing_changes(runs: Path) -> None:

@@ -29,6 +29,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import EngFormatter, MaxNLocator, NullLocator
 
 from zipf.experiments.records.wording import PlotFormat
+from zipf.experiments.reporting.charts import charts, rank_ticks
 from zipf.experiments.reporting.panels import (
     LABEL_LETTERS,
     OTHERS,
@@ -39,9 +40,7 @@ from zipf.experiments.reporting.panels import (
     Line,
     Looks,
     Panel,
-    charts,
     legend,
-    rank_ticks,
 )
 from zipf.experiments.reporting.seed_statistics import SeedStatistics
 

@@ -22,6 +22,7 @@ from markupsafe import Markup, escape
 from zipf.experiments.records import video_files
 from zipf.experiments.records.results import Run
 from zipf.experiments.records.wording import count_text, duration_text, seeds_list
+from zipf.experiments.reporting.charts import charts
 from zipf.experiments.reporting.claims import ClaimLine
 from zipf.experiments.reporting.comparable import differences
 from zipf.experiments.reporting.draw_matplotlib import PAGE_COLOURS, inline, parts, style
@@ -37,7 +38,7 @@ from zipf.experiments.reporting.grids import (
     side_by_side_grids,
 )
 from zipf.experiments.reporting.markdown import CLAIM_HEADER, RUN_COLUMNS, claim_cells, run_cells
-from zipf.experiments.reporting.panels import Chart, Looks, charts
+from zipf.experiments.reporting.panels import Chart, Looks
 from zipf.experiments.reporting.seed_statistics import SeedStatistics, reading
 from zipf.experiments.reporting.side_by_side import side_by_side
 from zipf.experiments.reporting.tables import Row
