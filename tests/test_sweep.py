@@ -131,7 +131,7 @@ def test_a_sweep_of_ones_own(own):
     ]
     assert len(expanded("sweep=mine", "memory=lstm", "seed=1")) == 3
     assert len(expanded("sweep=mine", "memory=lstm", "++seed=1")) == 3
-    assert "mine             Mine." in help_text()
+    assert re.search(r"^  mine +Mine\.$", help_text(), re.MULTILINE)
 
 
 @pytest.mark.parametrize(
