@@ -106,13 +106,10 @@ TASKS = [
         "playroom_find",
         "playroom_find_compact",
         {
-            "supervised,network=film": Agent("#997700"),
-            "supervised,network=film,augmentation=random,augmentation.channels=False,"
-            "augmentation.shift=4": Agent(
-                "#0077bb", label="Classifier, film network, augmentation"
-            ),
-            "supervised_hindsight_augmented,network=film": Agent("#009988"),
-            "supervised_matching": Agent("#cc3311"),
+            "impala-network_film": Agent("#997700"),
+            "supervised-network_film": Agent("#0077bb"),
+            "names": Agent("#009988"),
+            "told": Agent("#cc3311"),
         },
         "blind",
         of_target,
