@@ -12,7 +12,7 @@ def world_of(experiment):
     """One env of an experiment, closed."""
     worlds = composing.composed(f"experiment={experiment}").values["environment"]
     options = {name: value for name, value in worlds.items() if name != "split"}
-    env = envs.make_vec(envs.split(worlds["split"]).uniform[0], 1, **options)
+    env = envs.make_vec(envs.split(worlds["split"]).train[0], 1, **options)
     env.close()
     return env
 

@@ -217,7 +217,7 @@ def test_the_papers_values_in_the_labyrinth(experiment):
 )
 def test_the_compact_network_fits_every_family(experiment, patch):
     loaded = loading.load([f"experiment={experiment}", "network=compact"])
-    env = envs.make_vec(envs.split(loaded.environment.split).uniform[0], 1)
+    env = envs.make_vec(envs.split(loaded.environment.split).train[0], 1)
     encoder = Encoder(env.single_observation_space, loaded.network)
     assert encoder.reader("image").patch == patch
 

@@ -748,7 +748,7 @@ def test_what_is_compiled_learns_the_same(tmp_path):
         [*TINY, "agent=vmpo", "updates=3", "compile=true", f"run_root={tmp_path / 'compiled'}"]
     )
     assert plain.condition == compiled.condition
-    env = envs.make_vec(compiled.split.uniform[0], 1, **compiled.level_options)
+    env = envs.make_vec(compiled.split.train[0], 1, **compiled.level_options)
     agent = build_agent(compiled, env)
     for network in (agent.network, agent.target):
         assert network.encoder.reader("image")._compiled_call_impl is not None
