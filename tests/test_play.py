@@ -454,6 +454,14 @@ def test_a_run_without_a_checkpoint(run, tmp_path):
         play(f"run={tmp_path}", f"record={tmp_path}/x.gif")
 
 
+def test_a_run_without_levels_of_a_kind(run, tmp_path, monkeypatch):
+    trained = playing._load(str(run), [])
+    monkeypatch.setattr(envs, "split", lambda name: envs.Split(name, "gridworld/zipf_2"))
+    monkeypatch.setattr(playing, "_load", lambda *_: trained)
+    with pytest.raises(UserError, match="level=rare: the run has no such level; expected train"):
+        play(f"run={run}", "level=rare", f"record={tmp_path}/x.gif")
+
+
 def test_a_level_that_the_agent_cannot_play(run, tmp_path):
     others = [level for family, level in FAMILIES.items() if family != "gridworld"]
     for level in others:

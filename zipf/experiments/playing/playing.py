@@ -158,6 +158,9 @@ def _keys(options: PlayOptions, trained: TrainedAgent | None, policy: str) -> di
     if trained is not None and options.level in (None, *envs.KINDS):
         split = envs.split(trained.config.environment.split)
         levels = [level.name for level in split.levels(options.level or "train")]
+        if not levels:
+            kinds = ", ".join(split.kinds)
+            raise UserError(f"level={options.level}: the run has no such level; expected {kinds}")
     if trained and policy == "agent" and trained.agent.answers_questions:
         raise UserError(f"run={options.run}: a classifier answers questions and does not act")
     found = {}

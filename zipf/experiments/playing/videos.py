@@ -153,13 +153,15 @@ def record_run(folder: Path, trained: TrainedAgent, format: VideoFormat) -> vide
 
 
 def find_situation(trained: TrainedAgent, extreme: Extreme) -> Situation:
-    """The most frequent situation of the uniform levels, or the rarest.
+    """The most frequent situation of the uniform levels, or the rarest; of the train levels where
+    there are no uniform ones.
 
     The first rank takes its extreme value, then the next rank its own among situations with that
     one, and so on: where objects are drawn without replacement the second is not that of the first.
     """
     found = []
-    for level in trained.config.split.uniform:
+    split = trained.config.split
+    for level in split.uniform or split.train:
         with closing(_envs(trained, level, AT_A_TIME)) as env:
             ranks: dict[str, int] = {}
             for name in env.situation:
