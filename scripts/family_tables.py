@@ -93,7 +93,7 @@ def levels(family: str) -> list[str]:
     found = envs.find_family(family)
     uses: dict[str, list[str]] = {}
     for split in found.splits:
-        if split.kinds == ("train",):  # one level alone
+        if split.only_trains:  # one level alone
             continue
         for kind in split.kinds:
             for level in split.levels(kind):

@@ -115,8 +115,8 @@ def _published(task: Task, kinds: Sequence[str], *, hours: bool = False) -> tupl
     values = composing.composed(f"experiment={task.paper}").values
     collector = values["collector"]
     frames = values["updates"] * collector["num_envs"] * collector["unroll_length"]
-    name = {"playroom_find": "playroom_finding", "playroom_lift": "playroom_lifting"}
-    published = paper_table(name.get(task.paper, task.paper)).rows.values()
+    split = envs.split(values["environment"]["split"])
+    published = paper_table(str(split.paper)).rows.values()
     scores = [[row[kind].value for row in published if kind in row] for kind in kinds]
     texts = [score_text(max(each)) if each else "" for each in scores]
     spent = [""] if hours else []

@@ -57,7 +57,7 @@ def rewritten(text: str) -> str:
 def splits() -> list[str]:
     rows = []
     for split in envs.all_splits().values():
-        if split.kinds == ("train",):  # one level alone; the level's table has its scores
+        if split.only_trains:  # one level alone; the level's table has its scores
             continue
         kinds = [level_names([one.name for one in split.levels(kind)]) for kind in envs.KINDS]
         rows.append((code(split.name), *kinds))

@@ -158,8 +158,7 @@ class Family:
         alone = {f"{self.name}_{level}" for level in self.levels}
         pattern = f"{self.name}_<level>"
         names = (
-            pattern if one.kinds == ("train",) and one.name in alone else one.name
-            for one in self.splits
+            pattern if one.only_trains and one.name in alone else one.name for one in self.splits
         )
         return tuple(dict.fromkeys(names))
 

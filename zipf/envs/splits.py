@@ -186,6 +186,11 @@ class Split:
         """The kinds of which there are levels, in the order of `KINDS`."""
         return tuple(kind for kind in KINDS if self.levels(kind))
 
+    @property
+    def only_trains(self) -> bool:
+        """Whether it has levels to train on and no others."""
+        return self.kinds == ("train",)
+
     def levels(self, kind: str) -> tuple[SplitLevel, ...]:
         """The levels of a kind, of `KINDS`; empty where the split has none."""
         return getattr(self, kind)

@@ -268,6 +268,8 @@ def bootstrap_of_situations(found: pd.DataFrame) -> tuple[float, float, float]:
 
 def _visits(table: ScoreTable) -> Grid | None:
     """How often training met what the rare episodes asked for; None where no run counted it."""
+    if all(levels.level_kind != "rare" for levels in table.kinds):
+        return None
     columns: dict[str, str] = {}
     lines = []
     for row in table.rows:
@@ -278,8 +280,6 @@ def _visits(table: ScoreTable) -> Grid | None:
             rank = name.removeprefix("visits_").replace("_", " ")
             columns[name] = "Situation met" if name == "visits" else f"{rank.capitalize()} met"
         scores = table.scores[table.scores["row"] == row.key].set_index("level_kind")
-        if "rare" not in scores.index:
-            return None
         leading = [
             row.title,
             seeds_text(_seeds(table, row)),
