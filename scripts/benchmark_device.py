@@ -1,15 +1,15 @@
-"""Frames learned from per second on this machine's device, and the time to the first update.
+"""Frames learned from per second on this machine's device, and the time to a run's first update.
 
     python scripts/benchmark_device.py
     python scripts/benchmark_device.py --match gridworld --seconds 10
     python scripts/benchmark_device.py --against <another checkout>
 
-Every row is a process that trains; its reference is another that trains the same right after it:
-with environments on the host and every kernel launched by itself (`collector.envs=host
-capture=false`), or with `--against` another checkout as it is. A row's ratio is its speed to that
-of its reference. A row of more environments than an update takes has no reference of its own in an
-older checkout, which has no such option: there it is the same experiment with the environments of
-one update.
+Every row trains, and so does its reference right after it: the same with environments on the host
+and every kernel launched by itself (`collector.envs=host capture=false`), or with `--against`
+another checkout as it is. A row's ratio is its speed to that of its reference. One process trains
+all rows, and another all references. A row of more environments than an update takes has no
+reference of its own in an older checkout, which has no such option: there it is the same experiment
+with the environments of one update.
 """
 
 from __future__ import annotations
@@ -40,76 +40,111 @@ ROWS = {
     "the same, 1,024 envs": (
         "experiment=gridworld condition=impala collector.num_envs=1024 collector.envs_per_update=32"
     ),
+    "the same, 1,024 envs, compiled": (
+        "experiment=gridworld condition=impala collector.num_envs=1024 collector.envs_per_update=32 "
+        "compile=true"
+    ),
     "playroom_lift_compact": "experiment=playroom_lift_compact condition=impala",
     "labyrinth_compact": "experiment=labyrinth_compact condition=impala",
     "playroom_lift": "experiment=playroom_lift condition=impala",
 }
 LAUNCHED = ("collector.envs=host", "capture=false")
-MEASURED = "--measured"  # what a row's process is started with, and begins its line with
-NEW = ("collector.envs", "capture=")  # options that older checkouts lack
+MEASURED = "--measured"  # what a process is started with, and begins its lines with
+NEW = ("collector.envs", "capture=", "compile=")  # options that older checkouts lack, or had in vain
 
 
-def train(seconds: float, overrides: list[str]) -> None:
-    """In a row's process: trains, and prints what it measured. Of zipf it uses what older checkouts
-    have, too."""
+def serve() -> None:
+    """A process of rows: trains what each line of its input asks for, and prints what it
+    measured."""
     began = time.perf_counter()
-    from zipf.experiments.building import loading, run_folder
-    from zipf.experiments.training.allocator import keep_freed_ram
-    from zipf.experiments.training.runner import Run
+    import torch
 
-    keep_freed_ram()
-    config = loading.load(overrides)
-    run_folder.make(config.folder)
-    parts = getattr(config, "updates_per_unroll", 1)
+    try:
+        from zipf.experiments.building import run_folder
+        from zipf.experiments.building.loading import load
+        from zipf.experiments.training import allocator, runner
+    except ImportError:  # version 0.1
+        from zipf.experiments.command_line import load
+        from zipf.experiments.running import allocator, run_folder, runner
 
-    def wait() -> None:
-        if config.torch_device.startswith("cuda"):
-            import torch
+    allocator.keep_freed_ram()
+    if torch.cuda.is_available():
+        torch.zeros((), device="cuda")
+    print(MEASURED, json.dumps({"started": time.perf_counter() - began}), flush=True)
 
-            torch.cuda.synchronize()
+    def measure(seconds: float, overrides: list[str]) -> dict[str, float | str]:
+        began = time.perf_counter()
+        config = load(overrides)
+        run_folder.make(config.folder)
+        parts = getattr(config, "updates_per_unroll", 1)
+        if hasattr(runner, "choose_kernels"):
+            runner.choose_kernels(config)
 
-    with Run(config) as run:
-        run.step()
-        wait()
-        first = time.perf_counter() - began
-        for _ in range(parts - 1):
+        def wait() -> None:
+            if config.torch_device.startswith("cuda"):
+                torch.cuda.synchronize()
+
+        with runner.Run(config) as run:
             run.step()
-        settled = time.perf_counter() + seconds / 4
-        while time.perf_counter() < settled:
-            for _ in range(parts):
-                run.step()
-        wait()
-        start, updates = time.perf_counter(), run.update
-        while time.perf_counter() - start < seconds:
-            for _ in range(parts):
-                run.step()
             wait()
-        frames = (run.update - updates) * run.frames_per_update
-        speed = frames / (time.perf_counter() - start)
-        device = str(run.device)
-    print(MEASURED, json.dumps({"speed": speed, "first": first, "device": device}), flush=True)
+            first = time.perf_counter() - began
+            for _ in range(parts - 1):
+                run.step()
+            settled = time.perf_counter() + seconds / 4
+            while time.perf_counter() < settled:
+                for _ in range(parts):
+                    run.step()
+            wait()
+            start, updates = time.perf_counter(), run.update
+            while time.perf_counter() - start < seconds:
+                for _ in range(parts):
+                    run.step()
+                wait()
+            frames = (run.update - updates) * run.frames_per_update
+            speed = frames / (time.perf_counter() - start)
+            return {"speed": speed, "first": first, "device": str(run.device)}
+
+    for line in sys.stdin:
+        try:
+            found = measure(*json.loads(line))
+        except BaseException as error:  # the other rows are measured all the same
+            found = {"error": f"{type(error).__name__}: {error}"[:160]}
+        print(MEASURED, json.dumps(found), flush=True)
 
 
-def measure(checkout: Path, overrides: list[str], seconds: float) -> dict[str, float | str]:
-    """What a process of a checkout measures; its error in the place of numbers if it fails."""
-    with tempfile.TemporaryDirectory() as folder:
-        given = [*overrides, f"run_root={folder}", "name=measured", "updates=1000000000"]
-        given += ["schedule.checkpoint_every=1000000", "evaluation.every=1000000"]
-        if "envs_per_update" in " ".join(overrides):  # multiples of the updates of an unroll
-            given[-3:] = ["updates=1024000000", "schedule.checkpoint_every=1024000"]
-            given += ["evaluation.every=1024000"]
-        finished = subprocess.run(
-            [sys.executable, __file__, MEASURED, str(seconds), *given],
-            env=os.environ | {"PYTHONPATH": str(checkout)},
-            capture_output=True,
+class Trainer:
+    """A process of a checkout that trains one row after another.
+
+    Attributes:
+        started: seconds until it had imported zipf and started the device.
+    """
+
+    def __init__(self, checkout: Path):
+        self._process = subprocess.Popen(
+            [sys.executable, __file__, MEASURED],
+            env=os.environ | {"PYTHONPATH": f"{checkout}:{os.environ.get('PYTHONPATH', '')}"},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
             text=True,
-            check=False,
         )
-    for line in finished.stdout.splitlines():
-        if line.startswith(MEASURED):
-            return json.loads(line.removeprefix(MEASURED))
-    errors = finished.stderr.strip().splitlines()
-    return {"error": errors[-1][:160] if errors else f"ended with {finished.returncode}"}
+        self.started = float(self._answer()["started"])
+
+    def measure(self, overrides: list[str], seconds: float) -> dict[str, float | str]:
+        """What a row measures; its error in the place of numbers if it fails."""
+        with tempfile.TemporaryDirectory() as folder:
+            given = [*overrides, f"run_root={folder}", "name=measured", "updates=1024000000"]
+            given += ["schedule.checkpoint_every=1024000", "evaluation.every=1024000"]
+            assert self._process.stdin is not None
+            print(json.dumps([seconds, given]), file=self._process.stdin, flush=True)
+            return self._answer()
+
+    def _answer(self) -> dict[str, float | str]:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            if line.startswith(MEASURED):
+                return json.loads(line.removeprefix(MEASURED))
+        raise SystemExit(f"a process of rows ended with {self._process.wait()}")
 
 
 def older(overrides: list[str]) -> list[str]:
@@ -129,17 +164,16 @@ def main() -> None:
     parser.add_argument("--device", default="auto")
     parser.add_argument("--against", type=Path, help="another checkout, the reference of all rows")
     given = parser.parse_args()
+    rows, others = Trainer(ROOT), Trainer(given.against.resolve() if given.against else ROOT)
     print("| row | frames/s | reference | ratio | first update |\n| :-- | --: | --: | --: | --: |")
     where = ""
     for name, options in ROWS.items():
         if given.match not in name:
             continue
         overrides = [*options.split(), f"device={given.device}", "precision=auto"]
-        row = measure(ROOT, overrides, given.seconds)
-        if given.against:
-            other = measure(given.against.resolve(), older(overrides), given.seconds)
-        else:
-            other = measure(ROOT, [*overrides, *LAUNCHED], given.seconds)
+        row = rows.measure(overrides, given.seconds)
+        referred = older(overrides) if given.against else [*overrides, *LAUNCHED]
+        other = others.measure(referred, given.seconds)
         shown = [one.get("error") or f"{one['speed']:,.0f}" for one in (row, other)]
         ratio, first = "-", "-"
         if "error" not in row:
@@ -147,11 +181,12 @@ def main() -> None:
             if "error" not in other:
                 ratio = f"{float(row['speed']) / float(other['speed']):.2f}"
         print(f"| {name} | {shown[0]} | {shown[1]} | {ratio} | {first} |", flush=True)
-    print(f"\nOn {where}, {os.cpu_count()} CPU cores.")
+    print(f"\nOn {where}, {os.cpu_count()} CPU cores. Before the first row {rows.started:.1f} s")
+    print("went into imports and starting the device.")
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == [MEASURED]:
-        train(float(sys.argv[2]), sys.argv[3:])
+        serve()
     else:
         main()

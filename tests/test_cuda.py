@@ -1,5 +1,7 @@
 """On CUDA: conditions and agents train, captured and not, and runs go on on another device."""
 
+import os
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,6 +14,9 @@ from zipf.agents import agents
 from zipf.envs.testing import check_tensor_env
 from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.training import runner
+
+# What `deterministic=true` needs, which some of these tests choose after others have started CUDA.
+os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
 
 SMALL = {  # what is not small enough in an agent's file, and what it cannot do
     "imitation": ["exploration=none"],

@@ -373,10 +373,11 @@ class Encoder(nn.Module):
             lines[-1] += f" by {how}"
         return "observations: " + "; ".join(lines)
 
-    def compile_images(self) -> int:
-        """Compiles the networks that read images (`torch.compile`); returns how many there are."""
+    def compile_images(self, *, fixed: bool) -> int:
+        """Compiles the networks that read images (`torch.compile`), for each number of images anew
+        if `fixed`; returns how many there are."""
         for network in self.encoders[: self._images]:
-            network.compile()
+            network.compile(dynamic=False if fixed else None)
         return self._images
 
     def match(self, observation: dict[str, Tensor], asked: dict[str, Tensor]) -> Tensor:

@@ -402,7 +402,8 @@ class Learner(Agent):
         """Compiles the image encoders of all attributes that are a `Torso` (`torch.compile`).
         Raises ValueError: there are none."""
         self._is_compiled = True
-        if sum(network.encoder.compile_images() for network in self._torsos()) == 0:
+        fixed = self.device.startswith("cuda")  # graphs have few shapes
+        if not sum(network.encoder.compile_images(fixed=fixed) for network in self._torsos()):
             raise ValueError(
                 "compile=true: compiles image encoders, and this agent has none; "
                 "choose compile=false"

@@ -74,7 +74,7 @@ def train(
     schedule = config.schedule
     with ExitStack() as stack:
         stack.enter_context(_as_user_errors(config))
-        _choose_kernels(config)
+        choose_kernels(config)
         learner = stack.enter_context(runtime.learner())
         if learner.is_first:
             stack.enter_context(run_folder.lock(config.folder))
@@ -135,7 +135,7 @@ def _as_user_errors(config: Config) -> Iterator[None]:
             raise
 
 
-def _choose_kernels(config: Config) -> None:
+def choose_kernels(config: Config) -> None:
     """On CUDA: with `deterministic=true` kernels that give the same bits every time."""
     if not config.torch_device.startswith("cuda"):
         return
