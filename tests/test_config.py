@@ -610,3 +610,14 @@ def test_every_number_has_a_source():
         classes = re.findall(r"^class \w+Options.*?(?=^\S)", path.read_text(), re.M | re.S)
         fields = (line for line in "".join(classes).splitlines() if "= " in line)
         assert without_source("\n".join(fields)) == [], path
+
+
+@pytest.mark.parametrize(
+    ("given", "threads"),
+    [([], 8), (["collector.lag=0", "collector.num_envs=512"], 16), (["collector.num_envs=512"], 15),
+     (["collector.num_envs=8"], 1), (["threads=2"], 2), (["processes=2"], 1)],
+)  # fmt: skip
+def test_as_many_threads_step_envs_as_slices_are_worth(given, threads, monkeypatch):
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 16)
+    config = loading.load(["experiment=playroom_lift_compact", *given])
+    assert config.env_threads == threads

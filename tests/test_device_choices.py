@@ -1,13 +1,16 @@
 """Every choice of every group is captured as the documentation's table says, by running it."""
 
+import shutil
+from types import SimpleNamespace
+
 import pytest
 import torch
 from tape import Tape
 
 from zipf import envs
 from zipf.errors import UserError
-from zipf.experiments.building import loading
-from zipf.experiments.building.device_envs import not_captured, only_on_the_host
+from zipf.experiments.building import device_envs, loading
+from zipf.experiments.building.device_envs import compiles, not_captured, only_on_the_host
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.training.build_collector import build_collector, build_tensor_collector
 from zipf.experiments.training.rollouts import SynchronousRollouts, TensorRollouts
@@ -33,6 +36,27 @@ CHOICES = [
 def config_of(experiment, group, choice, *others):
     given = [f"experiment={experiment}", *SMALL, f"{group}={choice}", *FURTHER.get(choice, [])]
     return loading.load([*given, *others])
+
+
+def test_resnets_are_compiled_on_cuda_where_there_is_a_compiler(monkeypatch):
+    config = loading.load(["experiment=gridworld"])
+    compact = loading.load(["experiment=gridworld_compact"])
+
+    def on_cuda(made, has_triton=True):
+        monkeypatch.setattr(device_envs, "find_spec", lambda name: name if has_triton else None)
+        given = SimpleNamespace(compile=made.compile, network=made.network, torch_device="cuda")
+        return compiles(given)
+
+    monkeypatch.setenv("CC", "a-compiler")
+    monkeypatch.setattr(shutil, "which", lambda name: name if name == "a-compiler" else None)
+    assert on_cuda(config)
+    assert not on_cuda(compact)
+    assert not on_cuda(config, has_triton=False)
+    assert not compiles(config.model_copy(update={"device": "cpu"}))
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    assert not on_cuda(config)
+    assert on_cuda(compact.model_copy(update={"compile": True}))
+    assert not on_cuda(config.model_copy(update={"compile": False}))
 
 
 @pytest.mark.slow

@@ -1,13 +1,19 @@
-"""What of a run can be done on the device of its agent: stepping envs, and in CUDA graphs."""
+"""What of a run can be done on the device of its agent: stepping envs, in CUDA graphs, compiled."""
 
 from __future__ import annotations
 
+import os
+import shutil
+import sysconfig
 from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
 
 from zipf import envs
 from zipf.agents.agent import agents
 from zipf.agents.episodic import NO_EPISODIC
 from zipf.agents.hindsight import AchievedOptions
+from zipf.agents.network_options import ResNetOptions
 from zipf.experiments.hooks.augmentation import RandomAugmentationOptions
 from zipf.experiments.hooks.exploration import CountOptions
 from zipf.experiments.hooks.tensor import host_alone
@@ -56,6 +62,19 @@ def captures(config: Config) -> bool:
     return (
         config.capture and config.torch_device.startswith("cuda") and not list(not_captured(config))
     )
+
+
+def compiles(config: Config) -> bool:
+    """Whether image encoders are compiled. `auto` does so where it was seen to gain: the ResNet on
+    CUDA, where there is what Triton needs, a C compiler and Python's headers."""
+    if config.compile != "auto":
+        return config.compile
+    if not config.torch_device.startswith("cuda") or not isinstance(config.network, ResNetOptions):
+        return False
+    compilers = (os.environ.get("CC", "cc"), "gcc", "clang")  # as Triton looks for them
+    headers = Path(sysconfig.get_path("include"), "Python.h")
+    has_compiler = any(shutil.which(one) for one in compilers)
+    return find_spec("triton") is not None and has_compiler and headers.is_file()
 
 
 def not_captured(config: Config) -> Iterator[str]:

@@ -12,6 +12,7 @@ from zipf.agents.unroll import Augmentation
 from zipf.envs.tensor import TensorEnv
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.errors import UserError
+from zipf.experiments.building.device_envs import compiles
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.hooks.augmentation import AUGMENTATIONS, RandomAugmentation
 from zipf.experiments.hooks.tensor import View
@@ -19,9 +20,9 @@ from zipf.experiments.options.schema import Config
 
 
 def build_agent(config: Config, env: ZipfVectorEnv | TensorEnv) -> Agent:
-    """The agent that the configuration names, for these envs, with weights from its seed; its image
-    encoders are compiled with `compile=true`. Of tensor environments it sees what a `View` makes of
-    their codes.
+    """The agent that the configuration names, for these envs, with weights from its seed and, where
+    the configuration `compiles` them, compiled image encoders. Of tensor environments it sees what
+    a `View` makes of their codes.
     Raises UserError: the network cannot read these observations, they lack what the auxiliary loss
     is about, or there is no image encoder to compile."""
     assert config.precision != "auto"  # the schema has resolved it
@@ -55,7 +56,7 @@ def build_agent(config: Config, env: ZipfVectorEnv | TensorEnv) -> Agent:
             unroll_space=codes,
         )
         agent = agents()[config.agent.name](config.agent, spec)
-        if config.compile:
+        if compiles(config):
             if not isinstance(agent, Learner):
                 raise ValueError(
                     f"compile=true: compiles image encoders, and agent={config.agent.name} has no "

@@ -26,6 +26,7 @@ from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, run_folder
 from zipf.experiments.building.device_envs import (
     captures,
+    compiles,
     not_captured,
     on_device,
     only_on_the_host,
@@ -287,9 +288,11 @@ class Run:
         where = "on the device"
         if isinstance(self.env, ZipfVectorEnv):
             where = f"on the host ({', '.join(host) or 'collector.envs=host'})"
+        how = f"not captured ({', '.join(eager) or 'capture=false'})"
         if captures(self.config):
-            return f"envs: stepped {where}; captured as CUDA graphs"
-        return f"envs: stepped {where}; not captured ({', '.join(eager) or 'capture=false'})"
+            how = "captured as CUDA graphs"
+        compiled = "; image encoder compiled" if compiles(self.config) else ""
+        return f"envs: stepped {where}; {how}{compiled}"
 
     def _begin_files(self) -> None:
         if not self.is_new:
