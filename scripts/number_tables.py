@@ -72,11 +72,15 @@ def numbers(name: str) -> list[str]:
     rows += [_shown(agent, agent.title, kinds, hours=True) for agent in task.agents]
     counts = ("Seeds", "Frames", "Hours", *(KIND_NAMES[kind] for kind in kinds))
     table = markdown(("Agent", "Beyond pixels and rewards", *counts), rows, right=counts)
-    commands = (
-        [f"# {agent.title.replace('`', '')}", f"python -m zipf.train {agent.command}"]
-        for agent in task.agents
-    )
-    lines = [*table, "", "```sh", *(line for pair in commands for line in pair), "```"]
+    trained: dict[str, list[str]] = {}  # titles by their command
+    for agent in task.agents:
+        trained.setdefault(agent.command, []).append(agent.title.replace("`", ""))
+    commands = [
+        line
+        for command, titles in trained.items()
+        for line in (*(f"# {title}" for title in titles), f"python -m zipf.train {command}")
+    ]
+    lines = [*table, "", "```sh", *commands, "```"]
     weights = [line for agent in task.agents for line in _weights(agent)]
     return [*lines, "", "Weights:", "", *weights] if weights else lines
 
