@@ -40,17 +40,13 @@ ROWS = {
     "the same, 1,024 envs": (
         "experiment=gridworld condition=impala collector.num_envs=1024 collector.envs_per_update=32"
     ),
-    "the same, 1,024 envs, compiled": (
-        "experiment=gridworld condition=impala collector.num_envs=1024 "
-        "collector.envs_per_update=32 compile=true"
-    ),
     "playroom_lift_compact": "experiment=playroom_lift_compact condition=impala",
     "labyrinth_compact": "experiment=labyrinth_compact condition=impala",
     "playroom_lift": "experiment=playroom_lift condition=impala",
 }
 LAUNCHED = ("collector.envs=host", "capture=false")
 MEASURED = "--measured"  # what a process is started with, and begins its lines with
-NEW = ("collector.envs", "capture=", "compile=")  # left out in older checkouts
+NEW = ("collector.envs", "capture=")  # options that older checkouts lack
 
 
 def serve() -> None:
