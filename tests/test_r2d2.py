@@ -2,6 +2,7 @@
 
 import shutil
 from copy import deepcopy
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -830,3 +831,17 @@ def test_r2d2_learns_to_recall():
         seed=0,
     )
     assert play(policy, Recall(100, delay), episodes=300, seed=2)["success"].mean() >= 0.95
+
+
+def test_sequences_are_cut_on_their_device():
+    made = agent()
+    memory = {name: part.to("meta") for name, part in made.initial_memory(1).items()}
+    sequences = replace(made.sequences, device="meta")
+    empty = sequences.empty(memory)
+    for unroll in unrolls(2):
+        cut = sequences.of_unroll(unroll.to("meta"))
+    assert {part.device.type for part in cut.values(True, True)} == {"meta"}
+    assert {part.device.type for part in empty.values(True, True)} == {"meta"}
+    assert {name: part.shape for name, part in cut[0].items(True, True)} == {
+        name: part.shape for name, part in empty.items(True, True)
+    }

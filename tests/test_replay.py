@@ -437,3 +437,24 @@ def test_free_disk_counts_what_the_folder_has_already(tmp_path, monkeypatch):
 )
 def test_sizes_as_text(size, words):
     assert free_space.in_words(size) == words
+
+
+def on_meta(items):
+    """As `Sequences` makes items of a device: their parts know it."""
+    parts = {name: part.to("meta") for name, part in items.items()}
+    return TensorDict(parts, items.batch_size)
+
+
+def test_items_stay_on_their_device(monkeypatch):
+    """Slots, draws and priorities are of the host: nothing waits for the device."""
+    monkeypatch.setattr(replay, "free_on", lambda device: 1000)
+    options = {"priority_exponent": 0.9, "importance_exponent": 0.6, "seed": 0}
+    kept = Replay(on_meta(ITEM), capacity=10, folder=None, spare=0, **options)
+    for k in range(3):
+        assert kept.insert(on_meta(items(6 * k, 6))).device.type == "cpu"
+    drawn, index, weights = kept.sample(4)
+    assert {drawn["steps", "image"].device.type, drawn["memory"].device.type} == {"meta"}
+    assert (index.device.type, weights.device.type) == ("cpu", "cpu")
+    kept.update_priorities(index, torch.ones(4))
+    with pytest.raises(ValueError, match=r"take .* of meta, and 1\.0 kB are free: .* in RAM"):
+        Replay(on_meta(ITEM), capacity=1000, folder=None, spare=0, **options)

@@ -1,10 +1,12 @@
-"""How much RAM and disk space is free, and sizes as text."""
+"""How much RAM, space on a device and disk space is free, and sizes as text."""
 
 from __future__ import annotations
 
 import os
 import shutil
 from pathlib import Path
+
+import torch
 
 
 def free_ram() -> int:
@@ -38,6 +40,13 @@ def free_ram() -> int:
                 files = int(statistics["inactive_file"]) + int(statistics["active_file"])
                 free = min(free, max(int(limit) - int(used) + files, 0))
     return free
+
+
+def free_on(device: torch.device) -> int:
+    """Bytes of a CUDA device that PyTorch can still get, and those that it holds and does not
+    use."""
+    unused = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return torch.cuda.mem_get_info(device)[0] + unused
 
 
 def free_disk(folder: Path) -> int:

@@ -178,7 +178,8 @@ class R2D2(Learner):
 
     Until replay holds `replay_min` sequences, an update inserts its unroll and takes no optimiser
     step. With a burn-in, a run's first unroll has no rows before it and is not inserted. With
-    `storage=memmap` replay is kept in the run's folder.
+    `storage=memmap` replay is kept in the run's folder, else in RAM or, where envs are stepped
+    there, on the agent's device.
 
     With `fresh_priority=error` a sequence enters replay with the priority of its errors, as if it
     had just been learned from; with `largest` it has the largest priority so far, which saves that
@@ -219,8 +220,14 @@ class R2D2(Learner):
             final_observations=options.final_observations,
             weighted=spec.weighted,
             draws=spec.augmentation.size if spec.augmentation else 0,
+            device=self.device if self._keeps_on_device else "cpu",
         )
         self.replay: Replay | None = None
+
+    @property
+    def _keeps_on_device(self) -> bool:
+        """Whether replay stays where its unrolls are played."""
+        return self._sees_on_device and self.options.storage == "ram"
 
     def make_network(self) -> DuelingQ:
         return DuelingQ(*self.spec.torso, critic=self.spec.critic)
@@ -252,7 +259,7 @@ class R2D2(Learner):
 
     def begin_learning(self, folder: Path | None = None, every: int = 0) -> list[str]:
         """Makes the replay; the lines to show give its size. Raises ValueError: it does not fit
-        into RAM or onto the disk, or there is no folder for it."""
+        where it is kept, or there is no folder for it."""
         from zipf.agents.free_space import in_words
         from zipf.agents.replay import Replay
 
@@ -271,7 +278,8 @@ class R2D2(Learner):
         if o.storage == "memmap":
             where = f"disk, in {self.replay.folder}"
         else:
-            where = "RAM, as much in every checkpoint, and again while one is read"
+            device = self.device if self._keeps_on_device else "RAM"
+            where = f"{device}, as much in every checkpoint, and again while one is read"
         return [
             f"replay: {o.replay_capacity} sequences of {self.sequences.rows} rows, "
             f"{in_words(self.replay.bytes)} of {where}",

@@ -1,4 +1,5 @@
-"""Prioritised replay (Schaul et al. 2016): TorchRL's buffer in RAM or in files, saved and resumed.
+"""Prioritised replay (Schaul et al. 2016): TorchRL's buffer in RAM, on a device or in files; saved
+and resumed.
 
 Importing this costs the second or so that importing TorchRL takes.
 """
@@ -19,7 +20,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.data import TensorDictReplayBuffer, TensorStorage
 
-from zipf.agents.free_space import free_disk, free_ram, in_words
+from zipf.agents.free_space import free_disk, free_on, free_ram, in_words
 from zipf.agents.priorities import PrioritySampler
 
 
@@ -32,12 +33,13 @@ class Replay:
     a run that is killed at any time resumes from there. A file holds numbers and nothing else, one
     for each part of an item. Every item has its number and is hashed as it is inserted; the state
     has the hashes, and loading checks every item that can be drawn, which reads all files once.
-    Raises ValueError: the items do not fit into RAM or onto the disk; nothing is allocated yet.
+    Raises ValueError: the items do not fit into RAM, onto the device or the disk; nothing is
+    allocated yet.
 
     Args:
-        item: an example of an item, a TensorDict without batch axes.
+        item: an example of an item, a TensorDict without batch axes, on the device that keeps them.
         capacity: items to draw from.
-        folder: where the items are kept; None for RAM.
+        folder: where the items are kept; None for RAM, or the device of `item`.
         spare: items that are inserted between two checkpoints, at most.
         seed: of the draws.
     """
@@ -53,7 +55,8 @@ class Replay:
         spare: int,
         seed: int,
     ):
-        number = torch.zeros((), dtype=torch.int64)
+        self.device = next(iter(item.values(True, True))).device
+        number = torch.zeros((), dtype=torch.int64, device=self.device)
         # TorchRL writes an `index` of its own beside every item.
         self.item = item.clone().update({"number": number, "index": number.clone()})
         self.capacity = capacity
@@ -139,7 +142,7 @@ class Replay:
         inserted = self._buffer.sampler.inserted
         numbers = np.arange(inserted - len(self), inserted)
         slots = numbers % state["slots"]
-        if (self._items["number"].numpy()[slots] != numbers).any():
+        if (self._items["number"].cpu().numpy()[slots] != numbers).any():
             raise OSError(f"{self.folder}: these files hold another replay than the checkpoint's")
         if self.folder:
             self._digests = state["digests"].numpy().copy()
@@ -230,7 +233,15 @@ class Replay:
 
     def _check_room(self) -> None:
         each = f"{self.capacity} items of {in_words(self.item_bytes)}"
-        if self.folder is None:
+        if self.device.type != "cpu":
+            free = free_on(self.device)
+            if self.bytes > free:
+                raise ValueError(
+                    f"the replay's {each} take {in_words(self.bytes)} of {self.device}, and "
+                    f"{in_words(free)} are free: {_fits(free // self.item_bytes)}"
+                    "collector.envs=host keeps them in RAM, then agent.storage=memmap on disk"
+                )
+        elif self.folder is None:
             free = free_ram()
             # The contents of a checkpoint are in RAM beside the replay while it is read.
             if 2 * self.bytes > free:
@@ -239,15 +250,15 @@ class Replay:
                     f"while a checkpoint is read, and {in_words(free)} are free: "
                     f"{_fits(free // (2 * self.item_bytes))}agent.storage=memmap keeps them on disk"
                 )
-            return
-        free = free_disk(self.folder)
-        if self.bytes > free:
-            raise ValueError(
-                f"the replay's {each}, and room for {self.spare} between checkpoints, take "
-                f"{in_words(self.bytes)} of disk in {self.folder}, and {in_words(free)} are free: "
-                f"{_fits(free // self.item_bytes - self.spare)}a smaller "
-                "schedule.checkpoint_every needs less room"
-            )
+        else:
+            free = free_disk(self.folder)
+            if self.bytes > free:
+                raise ValueError(
+                    f"the replay's {each}, and room for {self.spare} between checkpoints, take "
+                    f"{in_words(self.bytes)} of disk in {self.folder}, and {in_words(free)} are "
+                    f"free: {_fits(free // self.item_bytes - self.spare)}a smaller "
+                    "schedule.checkpoint_every needs less room"
+                )
 
 
 def _fits(capacity: int) -> str:
@@ -258,7 +269,8 @@ def _fits(capacity: int) -> str:
 def _leaves(items: TensorDict) -> dict[str, Tensor]:
     """{"steps/action": [N, ...], ...}, as tensors whose storage is written without the rest of the
     buffer."""
-    return {_joined(name): torch.from_numpy(leaf.numpy()) for name, leaf in items.items(True, True)}
+    leaves = items.items(True, True)
+    return {_joined(name): torch.from_numpy(leaf.cpu().numpy()) for name, leaf in leaves}
 
 
 def _joined(name: str | tuple[str, ...]) -> str:

@@ -31,6 +31,7 @@ class Sequences:
     final_observations: int  # K, for how many of these a sequence has room; 0: it has none
     weighted: bool  # whether steps have a weight
     draws: int = 0  # D, how many numbers an augmentation draws for an episode
+    device: str = "cpu"  # of the sequences
 
     def __post_init__(self) -> None:
         self.rows = self.burn_in + self.unroll_length + 1
@@ -44,7 +45,7 @@ class Sequences:
         item = {"steps": self._empty(self.rows, self._fields)}
         if self.final_observations:
             item["final"] = self._empty(self.final_observations, FINAL)
-        of_env = {name: part[0].cpu() for name, part in memory.items()}
+        of_env = {name: part[0].to(self.device) for name, part in memory.items()}
         return TensorDict({**item, "memory": TensorDict(of_env)})
 
     def of_unroll(self, unroll: Unroll) -> TensorDict | None:
@@ -52,10 +53,10 @@ class Sequences:
         item = {}
         if self.final_observations:
             assert unroll.final is not None
-            item["final"] = unroll.final.cpu().transpose(0, 1)
+            item["final"] = unroll.final.to(self.device).transpose(0, 1)
         steps = unroll.steps.select(*self._names)
         steps["reward"] = unroll.steps["reward"] + unroll.steps["bonus"]
-        steps = steps.cpu()
+        steps = steps.to(self.device)
         memory = unroll.memory
         if self.burn_in:
             prefix, memory = self._prefix, self._prefix_memory
@@ -67,7 +68,8 @@ class Sequences:
                 return None
             steps = torch.cat([prefix, steps])
         item["steps"] = steps.transpose(0, 1)
-        item["memory"] = TensorDict({k: v.cpu() for k, v in memory.items()}, self.num_envs)
+        of_envs = {name: part.to(self.device) for name, part in memory.items()}
+        item["memory"] = TensorDict(of_envs, self.num_envs)
         return TensorDict(item, self.num_envs)
 
     def of_episodes(
@@ -90,14 +92,15 @@ class Sequences:
         if self.weighted:
             episodes = episodes.clone(recurse=False)
             episodes["weight"] = episodes["mask"].float()
-        steps[burn_in : burn_in + rows] = episodes.select(*self._names).cpu()
-        steps["truncated"][burn_in : burn_in + rows] |= ~episodes["mask"].cpu()
-        lengths = episodes["mask"].sum(0).cpu()
+        episodes = episodes.to(self.device)
+        steps[burn_in : burn_in + rows] = episodes.select(*self._names)
+        steps["truncated"][burn_in : burn_in + rows] |= ~episodes["mask"]
+        lengths = episodes["mask"].sum(0)
         for cut in range(cuts):
             start = cut * length  # of the burn-in's rows, in `steps`
             there = (lengths > start).nonzero().flatten()
             item = {"steps": steps[start : start + self.rows, there].transpose(0, 1)}
-            before = {name: part.cpu()[there] for name, part in memory.items()}
+            before = {name: part.to(self.device)[there] for name, part in memory.items()}
             item["memory"] = TensorDict(before, len(there))
             if self.final_observations:
                 finals = self._empty(self.final_observations, FINAL)
@@ -115,7 +118,7 @@ class Sequences:
         zeros["observation"] = TensorDict(no_observations(self.observation_space, rows), rows)
         if self.draws:
             zeros["draw"] = torch.zeros(rows, self.draws, dtype=torch.float64)
-        return zeros
+        return zeros.to(self.device)
 
     def carried(self) -> dict[str, Any]:
         """The burn-in of the next sequences of these envs."""
@@ -127,5 +130,6 @@ class Sequences:
         """Goes on with what `carried()` gave; `{}`: the next unroll is taken as a run's first."""
         self._prefix, self._prefix_memory = None, {}
         if carried:
-            self._prefix = TensorDict(carried["steps"], (self.burn_in, self.num_envs))
+            steps = TensorDict(carried["steps"], (self.burn_in, self.num_envs))
+            self._prefix = steps.to(self.device)
             self._prefix_memory = {k: v.to(device) for k, v in carried["memory"].items()}
