@@ -121,9 +121,8 @@ TASKS = [
         {
             "impala,network=film": Agent("#997700"),
             "imitation": Agent("#0077bb"),
-            "impala_matching": Agent("#cc3311"),
-            "impala_matching_settled": Agent("#ee7733"),
-            "impala_matching_settled_longer": Agent("#ee3377"),
+            "told": Agent("#cc3311"),
+            "settled_slowly": Agent("#ee7733"),
             "imitation_matching": Agent("#009988"),
         },
         "blind",
