@@ -73,8 +73,6 @@ def serve() -> None:
         config = load(overrides)
         run_folder.make(config.folder)
         parts = getattr(config, "updates_per_unroll", 1)
-        if hasattr(runner, "choose_kernels"):
-            runner.choose_kernels(config)
 
         def wait() -> None:
             if config.torch_device.startswith("cuda"):

@@ -709,7 +709,7 @@ def kernels(monkeypatch):
 
     def choose(device, deterministic=True, started=False):
         monkeypatch.setattr(torch.cuda, "is_initialized", lambda: started)
-        runner.choose_kernels(SimpleNamespace(deterministic=deterministic, torch_device=device))
+        runner._choose_kernels(SimpleNamespace(deterministic=deterministic, torch_device=device))
         flags = torch.are_deterministic_algorithms_enabled(), torch.backends.cudnn.benchmark
         return *flags, os.environ.get(WORKSPACE)
 

@@ -75,7 +75,7 @@ def train(
     schedule = config.schedule
     with ExitStack() as stack:
         stack.enter_context(_as_user_errors(config))
-        choose_kernels(config)
+        _choose_kernels(config)
         learner = stack.enter_context(runtime.learner())
         if learner.is_first:
             stack.enter_context(run_folder.lock(config.folder))
@@ -136,7 +136,7 @@ def _as_user_errors(config: Config) -> Iterator[None]:
             raise
 
 
-def choose_kernels(config: Config) -> None:
+def _choose_kernels(config: Config) -> None:
     """On CUDA: with `deterministic=true` kernels that give the same bits every time."""
     if not config.torch_device.startswith("cuda"):
         return
