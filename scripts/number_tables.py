@@ -85,6 +85,24 @@ def numbers(name: str) -> list[str]:
     return [*lines, "", "Weights:", "", *weights] if weights else lines
 
 
+def alone(experiment: str) -> list[str]:
+    """The lines of a table of an experiment whose runs have a level each: a row for each level and
+    condition, with baselines beside the score in the window."""
+    folders = sorted({run.folder.parent for run in _runs(experiment)})
+    rows = []
+    for folder in folders:
+        levels = _levels(str(folder.relative_to(RESULTS)))
+        table, row = _row(str(folder.relative_to(RESULTS)))
+        (score,) = table.scores[table.scores["row"] == row.key].to_dict("records")
+        hours = median(map(_hours, row.runs))
+        spent = (str(int(score["seeds"])), f"{score['frames'] / 1e6:,.1f} M", f"{hours:.1f}")
+        known = (_known(levels, one.name, ["train"])[0] for one in BASELINES)
+        name = code(levels[0]["level"].rpartition("/")[2])
+        rows.append((name, row.title, *spent, *known, score_text(score["score"])))
+    counts = ("Seeds", "Frames", "Hours", *(one.title for one in BASELINES), "Score")
+    return markdown(("Task", "Agent", *counts), sorted(rows), right=counts)
+
+
 def _weights(agent: Agent) -> list[str]:
     """A line for each of its runs whose weights come with the repository."""
     return [

@@ -157,6 +157,7 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "file": file,
     "glossary": glossary,
     "numbers": number_tables.numbers,
+    "alone": number_tables.alone,
     "tail_best": number_tables.best,
     "tail_situations": number_tables.situations,
     "comparison": number_tables.comparison,

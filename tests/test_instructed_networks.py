@@ -42,7 +42,7 @@ def observations(n=3):
 def built(options):
     torch.manual_seed(0)
     encoder = Encoder(SPACE, options)
-    return encoder, encoder.reader("image"), encoder.reader("instruction")
+    return encoder, *encoder.encoders
 
 
 def convolved(convolution, seen):
@@ -142,12 +142,13 @@ def padded(seen):
     return torch.nn.functional.pad(seen, (1, 1, 1, 1))
 
 
-def scores_of(matcher, image, told, normalise):
-    """The scores of one image [H, W, C] and one instruction, place by place."""
+def scores_of(matcher, image, words, normalise):
+    """The scores of one image [H, W, C] and one instruction [L], place by place."""
     *strided, last = matcher.convolutions
     seen = found_by(strided, image, normalise)
     seen = convolved(last, padded(seen)).clamp(min=0)
-    query = matcher.query(told)
+    (table,) = matcher.words
+    query = matcher.query + sum(table.weight[word] for word in words if word > 0)
     scores = []
     for place in seen.flatten(1).T:
         key = matcher.key(place)
@@ -159,9 +160,10 @@ def scores_of(matcher, image, told, normalise):
 @pytest.mark.parametrize("normalise", [False, True])
 @torch.no_grad()
 def test_matching_is_its_definition(normalise):
-    encoder, network, reader = built(MATCHING.model_copy(update={"normalise": normalise}))
+    encoder, network, _ = built(MATCHING.model_copy(update={"normalise": normalise}))
     given = observations()
-    told, encoded = reader(given["instruction"]), encoder(given)
+    network.matcher.words[0].weight[1:].normal_()
+    told, encoded = given["instruction"], encoder(given)
     rows, columns = 3, 4
     for n in range(3):
         seen = found_by(network.convolutions, given["image"][n], normalise)
@@ -210,8 +212,9 @@ def test_places_are_where_the_matcher_reads():
 @torch.no_grad()
 def test_the_instruction_can_be_left_to_the_matcher():
     encoder, _, _ = built(MATCHING)
-    alone, _, _ = built(MATCHING.model_copy(update={"remember_instruction": False}))
-    alone.load_state_dict(encoder.state_dict())
+    encoder.reader("image").matcher.words[0].weight.normal_()
+    alone, network = built(MATCHING.model_copy(update={"remember_instruction": False}))
+    network.load_state_dict(encoder.reader("image").state_dict())
     given = observations()
     assert encoder.size - alone.size == 32
     # The image comes first and the instruction last.
@@ -221,11 +224,30 @@ def test_the_instruction_can_be_left_to_the_matcher():
 
 
 def test_a_fixed_matcher_learns_nothing():
-    encoder, network, reader = built(MATCHING.model_copy(update={"matcher": "fixed"}))
+    encoder, network, _ = built(MATCHING.model_copy(update={"matcher": "fixed"}))
     encoder(observations()).square().sum().backward()
-    fixed = {*network.matcher.parameters(), *reader.parameters()}
+    fixed = set(network.matcher.parameters())
     for name, parameter in encoder.named_parameters():
         assert (parameter.grad is None) == (parameter in fixed), name
+
+
+def test_a_matcher_does_not_read_words_that_it_has_not_learned():
+    """Wherever in the text they are. Those of its instructions it learns."""
+    encoder, network, _ = built(MATCHING)
+    given = observations()
+    given["instruction"] = torch.tensor([[3, 0, 0, 0], [4, 1, 0, 0], [1, 3, 0, 0]])
+    optimiser = torch.optim.Adam(network.parameters(), lr=1e-2)
+    for _ in range(10):
+        optimiser.zero_grad()
+        network(given["image"], [given["instruction"]]).sum().backward()
+        optimiser.step()
+    (table,) = network.matcher.words
+    assert table.weight.any(1).tolist() == [word in (1, 3, 4) for word in range(10)]
+    texts = torch.tensor([[3, 0, 0, 0], [5, 2, 3, 0], [9, 3, 7, 5], [4, 0, 0, 0]])
+    alone, *among, other = network.matcher._queries([texts])
+    for query in among:
+        torch.testing.assert_close(query, alone)
+    assert not torch.allclose(other, alone)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ class LinearOptions(NetworkOptions):
 
 
 class Linear(nn.Module):
-    def __init__(self, options, shape, instruction):
+    def __init__(self, options, shape, vocabularies):
         super().__init__()
         height, width, channels = shape
         self.size = options.size

@@ -189,36 +189,29 @@ class InstructionEncoder(nn.Module):
 
 
 NETWORKS: Registry[nn.Module] = Registry("network")
-"""Each is built from its options, the shape [H, W, C] of the images that it reads, and the size of
-the encoded instruction, 0 for none. It has the `size` of its outputs, and computes uint8
-[N, H, W, C] -> [N, size]; an `InstructedNet` reads the encoded instruction [N, instruction], too.
-It raises ValueError for images that it cannot read."""
+"""Each is built from its options, the shape [H, W, C] of the images that it reads, and the sizes of
+the texts' vocabularies, () for none. It has the `size` of its outputs, and computes uint8
+[N, H, W, C] -> [N, size]; an `InstructedNet` reads the encoded texts [N, instruction], too, and a
+`MatchingNet` their words. It raises ValueError for images that it cannot read."""
 
 
 def _plain(network: Callable[..., nn.Module]) -> Callable[..., nn.Module]:
     """What builds a network that does not read the instruction."""
-    return lambda options, shape, instruction: network(shape, options)
+    return lambda options, shape, vocabularies: network(shape, options)
 
 
 def _instructed(network: Callable[..., nn.Module]) -> Callable[..., nn.Module]:
-    """What builds a network that reads the instruction."""
-
-    def build(options: InstructedOptions, shape: tuple[int, ...], instruction: int) -> nn.Module:
-        if not instruction:
-            raise ValueError(
-                f"network={options.name} reads images by an instruction, and the observations have "
-                "none; choose network=shallow"
-            )
-        return network(shape, options, instruction)
-
-    return build
+    """What builds a network that reads the encoded instruction."""
+    return lambda options, shape, vocabularies: network(
+        shape, options, InstructionEncoder.size * len(vocabularies)
+    )
 
 
 NETWORKS.register(ResNetOptions, _plain(ResNet))
 NETWORKS.register(ShallowOptions, _plain(ShallowNet))
 NETWORKS.register(FiLMOptions, _instructed(FiLMNet))
 NETWORKS.register(AttentionOptions, _instructed(AttentionNet))
-NETWORKS.register(MatchingOptions, _instructed(MatchingNet))
+NETWORKS.register(MatchingOptions, lambda options, shape, words: MatchingNet(shape, options, words))
 NETWORKS.register(CompactOptions, _plain(PatchEncoder))
 NETWORKS.register(ComparingOptions, _plain(ComparingEncoder))
 
@@ -291,7 +284,6 @@ class Encoder(nn.Module):
     Attributes:
         encoders: for each of `names`, the parts it reads, an encoder of [N, ...] -> [N, its size].
         texts: the names of the parts that are texts.
-        remembers_texts: whether the result has them; images are read by them all the same.
         size: of the result.
     """
 
@@ -318,6 +310,11 @@ class Encoder(nn.Module):
                 f"network={options.name} reads images by an instruction, and the observations have "
                 "no image; choose network=compact"
             )
+        if isinstance(options, InstructedOptions) and not texts:
+            raise ValueError(
+                f"network={options.name} reads images by an instruction, and the observations have "
+                "none; choose network=shallow"
+            )
         # The largest first: the gridworld's tiles before its cue, and not by name.
         codes.sort(key=lambda name: (-math.prod(space[name].shape or ()), name))
 
@@ -326,25 +323,19 @@ class Encoder(nn.Module):
         self.texts = texts
         self.names: list[tuple[str, ...]] = []
         self.encoders = nn.ModuleList()
-        width = InstructionEncoder.size * len(texts)
+        words = [vocabulary(space[name]) for name in texts]
         for name in images:
-            self._add([name], NETWORKS.build(options, space[name].shape or (), width))
+            self._add([name], NETWORKS.build(options, space[name].shape or (), words))
         self._images = len(images)  # theirs are the first of the encoders
         if codes:
             self._add(codes, CodeEncoder([space[name] for name in codes], options))
         if vectors:
             self._add(vectors, VectorEncoder([space[name] for name in vectors], options))
-        for name in texts:
-            self._add([name], InstructionEncoder(vocabulary(space[name])))
-            if isinstance(options, MatchingOptions) and options.matcher == "fixed":
-                self.reader(name).requires_grad_(False)
+        if not isinstance(options, MatchingOptions) or options.remember_instruction:
+            for name, count in zip(texts, words, strict=True):
+                self._add([name], InstructionEncoder(count))
         if not self.names:
             raise ValueError(f"the observations are {space}: there is nothing to read")
-        self.remembers_texts = (
-            not isinstance(options, MatchingOptions) or options.remember_instruction
-        )
-        if not self.remembers_texts:
-            self.size -= width
 
     def _add(self, names: list[str], encoder: Any) -> None:
         self.names.append(tuple(names))
@@ -383,8 +374,8 @@ class Encoder(nn.Module):
     def match(self, observation: dict[str, Tensor], asked: dict[str, Tensor]) -> Tensor:
         """How well the places of images show what instructions name, by `network=matching`: the
         images of `{name: [N, ...]}` and the texts of `{name: [G, ...]}` -> float32 [N, P, G]."""
-        text = torch.cat([self.reader(name)(asked[name]) for name in self.texts], -1)
-        scores = [matcher(observation[name], text) for name, matcher in self._matchers().items()]
+        texts = [asked[name] for name in self.texts]
+        scores = [matcher(observation[name], texts) for name, matcher in self._matchers().items()]
         return torch.cat(scores, 1)
 
     def places(self) -> Tensor:
@@ -402,18 +393,22 @@ class Encoder(nn.Module):
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """`{name: [N, ...]}` -> `[N, size]`."""
-        read = {name: self.reader(name)(observation[name]) for name in self.texts}
+        texts = [observation[name] for name in self.texts]
+        named = list(zip(self.names, self.encoders, strict=True))
+        told = [
+            encode(observation[names[0]])
+            for names, encode in named
+            if isinstance(encode, InstructionEncoder)
+        ]
         encoded = []
-        for names, encode in zip(self.names, self.encoders, strict=True):
-            if isinstance(encode, InstructionEncoder):
-                if self.remembers_texts:
-                    encoded.append(read[names[0]])
-            elif isinstance(encode, InstructedNet):
-                texts = torch.cat(list(read.values()), -1)
+        for names, encode in named:
+            if isinstance(encode, MatchingNet):
                 encoded.append(encode(observation[names[0]], texts))
-            else:
+            elif isinstance(encode, InstructedNet):
+                encoded.append(encode(observation[names[0]], torch.cat(told, -1)))
+            elif not isinstance(encode, InstructionEncoder):
                 encoded.append(encode(*(observation[name] for name in names)))
-        return torch.cat(encoded, -1)
+        return torch.cat([*encoded, *told], -1)
 
 
 _NAMES = {

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -93,16 +95,20 @@ class AttentionNet(InstructedNet):
 class Matcher(nn.Module):
     """How well each of P places of an image shows what an instruction names.
 
-    A place has a key, what convolutions find there, and an instruction a query, linear in its code:
-    score = e^s cos(key, query) + offset, where s is learned and the offset, linear in what
-    convolutions find, is the place's own, whatever is asked for. Images and texts that meet in
-    cosines: Radford et al. 2021; a map of them as the policy's input: Jiang and Lu 2024 (COPL,
-    arXiv 2408.01942). `zipf.agents.hindsight` has a loss for it.
+    A place has a key, what convolutions find there, and an instruction a query, the sum of its
+    words' embeddings and of a vector that is learned, too: score = e^s cos(key, query) + offset,
+    where s is learned and the offset, linear in what convolutions find, is the place's own,
+    whatever is asked for. Words begin as zeros, and those that training does not have stay so: "put
+    a pear on a bed" is read as "find a pear" is. Images and texts that meet in cosines: Radford et
+    al. 2021; a map of them as the policy's input: Jiang and Lu 2024 (COPL, arXiv 2408.01942).
+    `zipf.agents.hindsight` has a loss for it.
     """
 
     centres: Tensor  # of the places, float32 [P, 2]: down and to the right, in sides of the image
 
-    def __init__(self, shape: tuple[int, ...], options: MatchingOptions, instruction: int):
+    def __init__(
+        self, shape: tuple[int, ...], options: MatchingOptions, vocabularies: Sequence[int]
+    ):
         super().__init__()
         rows = _centres(shape[0], options)
         columns = _centres(shape[1], options)
@@ -113,24 +119,28 @@ class Matcher(nn.Module):
         self.convolutions.append(nn.Conv2d(inputs[-1], inputs[-1], 3, padding=1))
         self.convolutions.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.key = nn.Linear(inputs[-1], options.key_size)
-        self.query = nn.Linear(instruction, options.key_size)
+        words = [nn.Embedding(count, options.key_size, padding_idx=0) for count in vocabularies]
+        for table in words:
+            nn.init.zeros_(table.weight)
+        self.words = nn.ModuleList(words)
+        self.query = nn.Parameter(_FIRST_QUERY * torch.randn(options.key_size))
         self.offset = nn.Linear(inputs[-1], 1)
         self.sharpness = nn.Parameter(torch.tensor(2.0))
         self.centred = options.normalise
 
-    def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
-        """The scores of all G instructions in all places: uint8 [N, H, W, C], [G, instruction size]
+    def forward(self, image: Tensor, texts: Sequence[Tensor]) -> Tensor:
+        """The scores of all G instructions in all places: uint8 [N, H, W, C], integers [G, L] each
         -> float32 [N, P, G]."""
         keys, offset = self._read(image)
-        queries = self._queries(instruction)
+        queries = self._queries(texts)
         with torch.autocast(image.device.type, enabled=False):
             return self.sharpness.exp() * (keys @ queries.T) + offset
 
-    def each(self, image: Tensor, instruction: Tensor) -> Tensor:
-        """The scores of each image's own instruction: uint8 [N, H, W, C], [N, instruction size] ->
+    def each(self, image: Tensor, texts: Sequence[Tensor]) -> Tensor:
+        """The scores of each image's own instruction: uint8 [N, H, W, C], integers [N, L] each ->
         float32 [N, P]."""
         keys, offset = self._read(image)
-        queries = self._queries(instruction)
+        queries = self._queries(texts)
         with torch.autocast(image.device.type, enabled=False):
             return (self.sharpness.exp() * (keys @ queries.unsqueeze(-1)) + offset).squeeze(-1)
 
@@ -140,8 +150,14 @@ class Matcher(nn.Module):
         places = seen.flatten(2).transpose(1, 2)
         return F.normalize(self.key(places).float(), dim=-1), self.offset(places).float()
 
-    def _queries(self, instruction: Tensor) -> Tensor:
-        return F.normalize(self.query(instruction).float(), dim=-1)
+    def _queries(self, texts: Sequence[Tensor]) -> Tensor:
+        """Queries of length 1, float32 [G, key size]."""
+        tables = zip(self.words, texts, strict=True)
+        words = torch.stack([table(text.long()).float().sum(-2) for table, text in tables])
+        return F.normalize(self.query + words.sum(0), dim=-1)
+
+
+_FIRST_QUERY = 0.02  # ours: short, so that words, which grow by the learning rate, soon turn it
 
 
 def _centres(side: int, options: MatchingOptions) -> Tensor:
@@ -165,9 +181,11 @@ class MatchingNet(InstructedNet):
 
     places: Tensor
 
-    def __init__(self, shape: tuple[int, ...], options: MatchingOptions, instruction: int):
+    def __init__(
+        self, shape: tuple[int, ...], options: MatchingOptions, vocabularies: Sequence[int]
+    ):
         super().__init__(shape, options)
-        self.matcher = Matcher(shape, options, instruction)
+        self.matcher = Matcher(shape, options, vocabularies)
         self.matcher.requires_grad_(options.matcher == "learned")
         _, rows, columns = self.grid
         y, x = torch.linspace(-1, 1, rows), torch.linspace(-1, 1, columns)
@@ -175,9 +193,10 @@ class MatchingNet(InstructedNet):
         self.register_buffer("places", places, persistent=False)
         self.dense = dense_layer(self.grid.numel() + rows * columns + 3, options)
 
-    def forward(self, image: Tensor, instruction: Tensor) -> Tensor:
+    def forward(self, image: Tensor, texts: Sequence[Tensor]) -> Tensor:
+        """uint8 [N, H, W, C], integers [N, L] of each text -> [N, size]."""
         seen = convolve_image(image, self.convolutions, centred=self.centred)
-        scores = self.matcher.each(image, instruction)
+        scores = self.matcher.each(image, texts)
         with torch.autocast(image.device.type, enabled=False):
             weights = scores.softmax(-1)
             mean = (weights * scores).sum(-1, keepdim=True)

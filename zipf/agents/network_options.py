@@ -106,8 +106,8 @@ class MatchingOptions(InstructedOptions):
 
     `match_channels` are those of the convolutions whose keys are matched, with the kernels and
     strides of the others; one of 3 x 3 follows. Keys and queries have `key_size` numbers. With
-    `matcher` "fixed" the matcher and the encoder of the instruction stay as they begin. Without
-    `remember_instruction` the memory does not read the encoded instruction: the matcher alone does.
+    `matcher` "fixed" the matcher stays as it begins, the words that it reads included. Without
+    `remember_instruction` the memory does not read the instruction: the matcher alone does.
     """
 
     name: Literal["matching"]  # type: ignore[assignment]
