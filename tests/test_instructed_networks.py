@@ -233,7 +233,7 @@ def test_a_fixed_matcher_learns_nothing():
 
 def test_a_matcher_does_not_read_words_that_it_has_not_learned():
     """Wherever in the text they are. Those of its instructions it learns."""
-    encoder, network, _ = built(MATCHING)
+    _, network, _ = built(MATCHING)
     given = observations()
     given["instruction"] = torch.tensor([[3, 0, 0, 0], [4, 1, 0, 0], [1, 3, 0, 0]])
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-2)
