@@ -98,7 +98,8 @@ def alone(experiment: str) -> list[str]:
         spent = (str(int(score["seeds"])), f"{score['frames'] / 1e6:,.1f} M", f"{hours:.1f}")
         known = (_known(levels, one.name, ["train"])[0] for one in BASELINES)
         name = code(levels[0]["level"].rpartition("/")[2])
-        rows.append((name, row.title, *spent, *known, score_text(score["score"])))
+        agent = row.title.replace(f", environment.split={table.description.split}", "")
+        rows.append((name, agent, *spent, *known, score_text(score["score"])))
     counts = ("Seeds", "Frames", "Hours", *(one.title for one in BASELINES), "Score")
     return markdown(("Task", "Agent", *counts), sorted(rows), right=counts)
 

@@ -62,6 +62,7 @@ def agent(episodic, name="impala", seed=0):
             name="imitation",
             teacher="expert",
             teacher_share=0.0,
+            likeliest=True,
             learning_rate=1e-3,
             adam_beta1=0.9,
             adam_beta2=0.999,

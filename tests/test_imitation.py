@@ -26,6 +26,7 @@ OPTIONS = ImitationOptions(
     name="imitation",
     teacher="expert",
     teacher_share=0.0,
+    likeliest=True,
     learning_rate=1e-3,
     adam_beta1=0.9,
     adam_beta2=0.999,
@@ -218,3 +219,7 @@ def test_it_is_scored_by_its_likeliest_actions():
     assert torch.equal(scored, logits[0].argmax(-1))
     sampled, _, _ = agent.act(inputs, {}, generator)
     assert not torch.equal(sampled, scored)
+    agent.options = agent.options.model_copy(update={"likeliest": False})
+    again, _, _ = agent.act(inputs, {}, torch.Generator().manual_seed(0), training=False)
+    assert torch.equal(again, agent.act(inputs, {}, torch.Generator().manual_seed(0))[0])
+    assert not torch.equal(again, scored)

@@ -38,12 +38,14 @@ class ImitationOptions(LearnerOptions):
     """The options; `configs/agent.yaml` has the sources of their values.
 
     `teacher` is a scripted policy of the envs, `teacher_share` the probability that it acts in a
-    step in the agent's place.
+    step in the agent's place. With `likeliest` the agent is scored by its likeliest actions, which
+    are what it takes for its teacher's (as in Ross et al. 2011), else by samples.
     """
 
     name: Literal["imitation"]
     teacher: Literal["expert", "generalist"]
     teacher_share: Share
+    likeliest: bool = True
 
 
 class Policy(Torso):
@@ -85,12 +87,13 @@ class Imitation(Learner):
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
-        """Actions in each of B envs, int64 [B]: samples in training, else the likeliest ones,
-        which are what the agent takes for its teacher's (as in Ross et al. 2011)."""
+        """Actions in each of B envs, int64 [B]: samples, or the likeliest ones (`likeliest`) where
+        it does not train."""
         with self.autocast():
             outputs, _, memory = self.actor(inputs.unsqueeze(), memory)
         logits = outputs[0]
-        action = sampled(logits, generator) if training else logits.argmax(-1)
+        draws = training or not self.options.likeliest
+        action = sampled(logits, generator) if draws else logits.argmax(-1)
         return action, memory, {}
 
     def loss(self, unroll: Unroll) -> Loss:

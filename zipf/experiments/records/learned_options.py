@@ -22,6 +22,7 @@ ADDED_SINCE = {
     "network.remember_instruction": True,
     "hindsight.matching_cost": 0.0,
     "augmentation.scale": [1.0, 1.0],
+    "agent.likeliest": True,
 }
 
 
