@@ -88,11 +88,10 @@ def numbers(name: str) -> list[str]:
 def alone(experiment: str) -> list[str]:
     """The lines of a table of an experiment whose runs have a level each: a row for each level and
     condition, with baselines beside the score in the window."""
-    folders = sorted({run.folder.parent for run in _runs(experiment)})
     rows = []
-    for folder in folders:
-        levels = _levels(str(folder.relative_to(RESULTS)))
-        table, row = _row(str(folder.relative_to(RESULTS)))
+    for folder in {str(run.folder.parent.relative_to(RESULTS)) for run in _runs(experiment)}:
+        levels = _levels(folder)
+        table, row = _row(folder)
         (score,) = table.scores[table.scores["row"] == row.key].to_dict("records")
         hours = median(map(_hours, row.runs))
         spent = (str(int(score["seeds"])), f"{score['frames'] / 1e6:,.1f} M", f"{hours:.1f}")

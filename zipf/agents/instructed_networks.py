@@ -1,5 +1,5 @@
-"""The networks that read images by an instruction, uint8 [N, H, W, C] and [N, instruction size] ->
-[N, F]."""
+"""The networks that read images by an instruction: uint8 [N, H, W, C] and the encoded instruction
+[N, instruction size], or for matching its words, -> [N, F]."""
 
 from __future__ import annotations
 
@@ -153,8 +153,8 @@ class Matcher(nn.Module):
     def _queries(self, texts: Sequence[Tensor]) -> Tensor:
         """Queries of length 1, float32 [G, key size]."""
         tables = zip(self.words, texts, strict=True)
-        words = torch.stack([table(text.long()).float().sum(-2) for table, text in tables])
-        return F.normalize(self.query + words.sum(0), dim=-1)
+        words = (table(text.long()).sum(-2) for table, text in tables)
+        return F.normalize(sum(words, start=self.query), dim=-1)
 
 
 _FIRST_QUERY = 0.02  # ours: short, so that words, which grow by the learning rate, soon turn it
