@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 import traceback
 import weakref
 from collections.abc import Callable, Sequence
@@ -23,7 +24,7 @@ from zipf.envs.errors import EngineError
 from zipf.envs.slices import Make, Slices, cut, described, share
 from zipf.envs.vector import SHARED, Observation, ZipfVectorEnv
 
-_CLOSING = 10.0  # seconds that a process has to end by itself; ours: a step takes milliseconds
+_CLOSING = 1.0  # seconds that all have to end by themselves; ours: a step takes milliseconds
 _NOT_OURS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGXCPU")
 """Signals that are sent to all processes of a run, whose first process decides what they do."""
 
@@ -198,10 +199,11 @@ def _start(pipe: Connection, memory: int) -> subprocess.Popen[bytes]:
 def _end(pipes: list[Connection], processes: list[subprocess.Popen[bytes]]) -> None:
     for pipe in pipes:
         pipe.close()
+    last = time.monotonic() + _CLOSING
     for process in processes:
         try:
-            process.wait(_CLOSING)
-        except subprocess.TimeoutExpired:
+            process.wait(max(0.0, last - time.monotonic()))
+        except subprocess.TimeoutExpired:  # as while Numba compiles
             process.kill()
             process.wait()
 
