@@ -21,8 +21,8 @@ from zipf.protocol import says_little
 LITTLE = "‡"
 LEGEND = [
     "",
-    f"{LITTLE} Says little about reading: a policy that neither reads nor looks has more than half "
-    "of the expert's score.",
+    f"{LITTLE} Says little about reading: a policy that is not told what is asked for has more "
+    "than half of the expert's score.",
 ]
 
 

@@ -52,7 +52,6 @@ def keep(kept: Record, folder: Path, *, weights: bool = False) -> str:
         if words := (start.get("command") or "").split():
             start["command"] = " ".join(w for w in words if not w.startswith("run_root="))
     tables = {file: read_texts(folder / file, []) for file in TABLES}
-    tables["metrics.csv"] = record.metric_rows(tables["metrics.csv"])
     situations = tables["situations.csv"]
     if len(situations.columns):
         inside = evaluations_inside(run, OwnWindows())["update"]

@@ -15,7 +15,6 @@ from zipf.experiments.options import catalogue, composing
 from zipf.experiments.records.paper import paper_table
 from zipf.experiments.records.results import Run, load_runs
 from zipf.experiments.records.wording import KIND_NAMES, NONE, count_text, range_text, score_text
-from zipf.experiments.reporting.claims import check_claims
 from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.seed_statistics import (
     bootstrap_of_situations,
@@ -93,8 +92,7 @@ def alone(experiment: str) -> list[str]:
         levels = _levels(folder)
         table, row = _row(folder)
         (score,) = table.scores[table.scores["row"] == row.key].to_dict("records")
-        hours = median(map(_hours, row.runs))
-        spent = (str(int(score["seeds"])), f"{score['frames'] / 1e6:,.1f} M", f"{hours:.1f}")
+        spent = (str(int(score["seeds"])), f"{score['frames'] / 1e6:,.1f} M", _spent(row.runs))
         known = (_known(levels, one.name, ["train"])[0] for one in BASELINES)
         name = code(levels[0]["level"].rpartition("/")[2])
         agent = row.title.replace(f", environment.split={table.description.split}", "")
@@ -161,8 +159,13 @@ def _shown(
     if len(changes := envs.family_of_split(table.description.split).image_changes):
         version = min(run.description.images or 0 for run in row.runs)
         title += f" (images v{version})" if version < len(changes) else ""
-    spent = [f"{median(map(_hours, row.runs)):.1f}"] if hours else []
+    spent = [_spent(row.runs)] if hours else []
     return (title, agent.beyond, str(seeds), f"{frames / 1e6:,.1f} M", *spent, *texts)
+
+
+def _spent(runs: Sequence[Run]) -> str:
+    hours = median(map(_hours, runs))
+    return f"{hours:.1f}" if hours >= 0.1 else f"{hours:.2f}"
 
 
 def _hours(run: Run) -> float:
@@ -226,20 +229,6 @@ def runs() -> list[str]:
         rows.append((code(name), *what, frames, started))
     numbers = ("Conditions", "Runs", "Frames of each")
     return markdown(("Experiment", "What it is", *numbers, "From version"), rows, right=numbers)
-
-
-def claims() -> list[str]:
-    """The lines of a table of the paper's claims about which there are scores."""
-    header = ("Claim of the paper", "Table", "Outcome", "On the paper's numbers")
-    lines = check_claims(score_tables(_all_runs(), "own"))
-    return markdown(
-        header,
-        (
-            (line.claim.statement, code(line.table), line.outcome, line.paper or NONE)
-            for line in lines
-            if line.at_hand
-        ),
-    )
 
 
 def comparison(experiment: str) -> list[str]:

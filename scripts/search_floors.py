@@ -1,4 +1,4 @@
-"""Searches for policies that neither read nor look, on every level that a split uses.
+"""Searches for policies that are not told what is asked for, on every level that a split uses.
 
     python scripts/search_floors.py
     python scripts/search_floors.py labyrinth --seconds 100 --episodes 300
@@ -197,7 +197,7 @@ def page(table: pd.DataFrame) -> str:
     lines = markdown(columns, rows, right=columns[2:])
     return "\n".join(
         [
-            "## Floors: the best that policies reach that neither read nor look",
+            "## Floors: the best that policies reach that are not told what is asked for",
             "",
             *lines,
             "",

@@ -380,7 +380,7 @@ def soak_damages(count: int, draw: random.Random, folder: Path) -> Counter[str]:
             chosen = [f"run={of_run}", "episodes=4", "num_envs=4", "device=cpu"]
             outcome = run("zipf.evaluate", chosen, output)
             lines = outcome.output.splitlines()
-            shown = [line for line in lines if not line.startswith("zipf: compiling")]
+            shown = [line for line in lines if not line.startswith("zipf: code is compiled")]
             return outcome, shown if outcome.code == 0 else None
 
         return {"train": train, "report": report, "evaluate": evaluate}

@@ -162,7 +162,6 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "tail_situations": number_tables.situations,
     "comparison": number_tables.comparison,
     "runs": number_tables.runs,
-    "claims": number_tables.claims,
 }
 
 

@@ -155,7 +155,7 @@ def write_external(root: Path, scores: Scores, *, name: str = "PPO", **changes: 
             "torch": None,
             "device": None,
             "precision": None,
-            "external": {"name": name, "geometry": {"image": [63, 63, 3], "actions": 8}},
+            "external": {"name": name, "env_options": {"image": [63, 63, 3], "actions": 8}},
             **changes,
         },
     )

@@ -64,7 +64,7 @@ def test_a_record_is_a_run_that_the_report_reads(tmp_path):
         assert rows.loc[kind, "frames"] == rows.loc[kind, "update"] == 1000
     assert run.situations["episodes"].sum() == 5 * 12
     written = json.loads((tmp_path / "seed0" / "run.json").read_text())
-    assert written["external"]["geometry"] == evaluate.env_options("gridworld", **DEMO)
+    assert written["external"]["env_options"] == evaluate.env_options("gridworld", **DEMO)
     assert written["torch"] == sys.modules["torch"].__version__
     report.report([tmp_path], tmp_path / "report")
     assert "Theirs" in (tmp_path / "report" / "report.md").read_text()
@@ -87,7 +87,7 @@ def test_a_record_of_before_the_further_kinds_goes_on(tmp_path):
     described = json.loads((tmp_path / "run.json").read_text())
     described["levels"] = described["levels"][:3]
     for name in ("gridworld/validation", "gridworld/fresh"):
-        del described["external"]["geometry"][name]
+        del described["external"]["env_options"][name]
     (tmp_path / "run.json").write_text(json.dumps(described))
     recorded(tmp_path, 2000)
     run = results.load_run(tmp_path)

@@ -1,4 +1,4 @@
-"""Policies that neither read nor look: how they are played, searched for, and what they score."""
+"""Policies that are not told what is asked for: how they are played and found, what they score."""
 
 import math
 from typing import Any

@@ -94,17 +94,6 @@ def test_corridors_lead_on_and_doors_stand_between_walls(seed: int, options: Maz
         assert set(maze.room[reached].tolist()) == {0}
 
 
-def test_the_text_of_a_maze() -> None:
-    maze = random_maze(np.random.default_rng(0), MazeOptions(11, 11, 4, 3, 5, doors=True))
-    lines = maze.text.splitlines()
-    letters = np.array([list(line) for line in lines[::-1]])
-    assert ((letters == "*") == maze.solid).all()
-    assert {(int(r), int(c)) for r, c in np.argwhere(letters == "P")} == {
-        cell for room in maze.spawns for cell in room
-    }
-    assert np.isin(letters, ["H", "I"]).sum() == len(maze.doors)
-
-
 @pytest.mark.parametrize(
     ("options", "rooms", "floor", "objects", "doors"),
     [

@@ -313,10 +313,9 @@ def test_normalising_leaves_the_batchs_own_space(sb3):
     assert batch.single_observation_space["image"].dtype == np.uint8
 
 
-@pytest.mark.parametrize("name", ["env_options", "geometry"])  # the latter in older files
-def test_a_model_on_images_that_it_transposes(sb3, name, tmp_path):
+def test_a_model_on_images_that_it_transposes(sb3, tmp_path):
     model = ppo(sb3, **SMALL)
-    setattr(model, name, {"num_maps": 5})
+    model.env_options = {"num_maps": 5}
     model.save(tmp_path / "model")
     loaded = sb3.policy(type(model).load(tmp_path / "model"))
     played(loaded)
@@ -470,16 +469,15 @@ class Stateful(CountingNetwork):
         return [torch.zeros(num_envs, 1, dtype=torch.int64)]
 
 
-def scripted_file(path, module, name="env_options", **options):
-    extra = {f"{name}.json": json.dumps(options)}
+def scripted_file(path, module, **options):
+    extra = {"env_options.json": json.dumps(options)}
     torch.jit.save(torch.jit.script(module), path, _extra_files=extra)
     return path
 
 
 @deprecated
-@pytest.mark.parametrize("name", ["env_options", "geometry"])  # the latter in older files
-def test_a_torchscript_file_keeps_its_state(name, tmp_path, of_counting):
-    path = scripted_file(tmp_path / "agent.pt", Stateful(), name, num_maps=5)
+def test_a_torchscript_file_keeps_its_state(tmp_path, of_counting):
+    path = scripted_file(tmp_path / "agent.pt", Stateful(), num_maps=5)
     policy = torchscript.policy(str(path))
     assert played(policy).equals(of_counting)
     with pytest.raises(ValueError, match="num_maps=5 of the policy, 20 of gridworld/zipf_2"):
@@ -646,9 +644,8 @@ def onnx_file(path, *, image="UINT8", shape=("n", *IMAGE), state=("n", 1), **pro
     return path
 
 
-@pytest.mark.parametrize("name", ["env_options", "geometry"])  # the latter in older files
-def test_an_onnx_file_keeps_its_state(name, tmp_path, of_counting, onnx_policy):
-    policy = onnx_policy(onnx_file(tmp_path / "agent.onnx", **{name: {"num_maps": 5}}))
+def test_an_onnx_file_keeps_its_state(tmp_path, of_counting, onnx_policy):
+    policy = onnx_policy(onnx_file(tmp_path / "agent.onnx", env_options={"num_maps": 5}))
     assert played(policy).equals(of_counting)
     with pytest.raises(ValueError, match="num_maps=5 of the policy, 20 of gridworld/zipf_2"):
         evaluate.score(policy, **PLAY)

@@ -196,15 +196,6 @@ def test_seeds_with_other_titles_are_noted(tmp_path: Path) -> None:
     )
 
 
-def test_a_resumed_run_counts_its_repeated_evaluations_once(tmp_path: Path) -> None:
-    folder = write_run(tmp_path, {100: (0.1, 0.1, 0.1), 200: (0.2, 0.2, 0.2)})
-    with (folder / "evaluations.csv").open("a") as file:
-        file.write("200,819200,500,train,gridworld/train,1000,0.4,0.4,0.4,17\n")
-    (run,) = results.load_runs([tmp_path])
-    assert len(run.evaluations) == 6
-    assert line(only_table(tmp_path), "impala", "train")["score"] == pytest.approx(0.25)
-
-
 def test_the_record_has_the_command_that_finished_a_run(tmp_path: Path) -> None:
     folder = write_run(tmp_path, constant(0.5))
     later = "python -m zipf.train experiment=gridworld updates=4400"

@@ -22,7 +22,7 @@ from pathlib import Path
 
 GROUP = "zipf.plugins"
 
-_config_folders: list[str] = []
+_config_folders: list[Path] = []
 _installed_are_loaded = False
 
 
@@ -52,13 +52,13 @@ def register_configs(folder: str | Path) -> None:
     path = Path(folder).resolve()
     if not path.is_dir():
         raise ValueError(f"register_configs: there is no folder {path}")
-    if str(path) not in _config_folders:
-        _config_folders.append(str(path))
+    if path not in _config_folders:
+        _config_folders.append(path)
 
 
 def config_folders() -> list[Path]:
     """The folders that were added by `register_configs`."""
-    return [Path(folder) for folder in _config_folders]
+    return list(_config_folders)
 
 
 def _import(module: str) -> None:

@@ -40,8 +40,9 @@ BASELINES = (
     Baseline(
         "blind",
         "Blind",
-        "neither reads nor looks",
-        "the best known policy that neither reads what an episode asks for nor looks",
+        "is not told what is asked for",
+        "the best known policy that is not told what an episode asks for: scripts that guess it, "
+        "and actions played without a look",
     ),
     Baseline(
         "generalist",

@@ -245,7 +245,7 @@ def report(
             if claims:
                 texts[target / "claims.csv"] = csv_claims(checked)
         if record is not None:
-            command = _command(folders, output, window, claims, record)
+            command = _command(folders, output, window, conditions, claims, record)
             texts[Path(record)] = markdown.record(found, command, pages, checked, statistics)
         # A page that is older than the tables beside it would be another report's.
         beside_tables = (target or Path()) / "report.html"
@@ -319,6 +319,7 @@ def _command(
     folders: Sequence[str | Path],
     output: str | Path | None,
     window: str | None,
+    conditions: str | Sequence[str] | None,
     claims: bool,
     record: str | Path,
 ) -> str:
@@ -327,6 +328,9 @@ def _command(
         arguments.append(f"output={Path(output).as_posix()}")
     if window is not None:
         arguments.append(f"window={window}")
+    if conditions is not None:
+        names = conditions if isinstance(conditions, str) else ",".join(conditions)
+        arguments.append(f"conditions={names}")
     if claims:
         arguments.append("claims=true")
     arguments.append(f"record={Path(record).as_posix()}")

@@ -63,7 +63,7 @@ class TrainOptions(TypedDict, total=False):
     run_root: str | Path
     device: str
     precision: Literal["auto", "float32", "bfloat16"]
-    compile: bool
+    compile: bool | Literal["auto"]
     capture: bool
     deterministic: bool
     threads: int | None

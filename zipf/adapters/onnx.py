@@ -49,7 +49,7 @@ class _OnnxPolicy(NetworkPolicy):
             for one in self.session.get_inputs()
         }
         known = self.session.get_modelmeta().custom_metadata_map
-        options = known.get("env_options") or known.get("geometry")  # so called in older files
+        options = known.get("env_options")
         trained_with = json.loads(options) if options else None
         super().__init__(str(path), list(self.declared), trained_with, deterministic)
 

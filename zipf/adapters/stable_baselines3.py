@@ -219,8 +219,7 @@ class ModelPolicy:
     def __init__(self, model: BaseAlgorithm, deterministic: bool) -> None:
         self.model = model
         self.deterministic = deterministic
-        # In models that were saved by older programs the attribute is called `geometry`.
-        self.env_options = getattr(model, "env_options", getattr(model, "geometry", None))
+        self.env_options = getattr(model, "env_options", None)
 
     def for_envs(
         self, observation_space: spaces.Dict, action_space: spaces.Discrete, seed: int

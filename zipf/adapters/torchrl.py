@@ -147,8 +147,7 @@ class _ModulePolicy(NetworkPolicy):
         self.module = module
         parameter = next(module.parameters(), None)
         self.device = torch.device("cpu") if parameter is None else parameter.device
-        # In modules that were saved by older programs the attribute is called `geometry`.
-        trained_with = getattr(module, "env_options", getattr(module, "geometry", None))
+        trained_with = getattr(module, "env_options", None)
         super().__init__("the policy", module.in_keys, trained_with, deterministic)
 
     def for_envs(

@@ -27,7 +27,7 @@ def policy(path: str | Path, *, deterministic: bool = False) -> NetworkPolicy:
 
 class _TorchScriptPolicy(NetworkPolicy):
     def __init__(self, path: Path, deterministic: bool) -> None:
-        known = {"env_options.json": "", "geometry.json": ""}  # the latter in older files
+        known = {"env_options.json": ""}
         try:
             with warnings.catch_warnings():
                 # The file exists: that PyTorch has deprecated the format helps nobody here.
@@ -38,7 +38,7 @@ class _TorchScriptPolicy(NetworkPolicy):
             raise ValueError(f"{path}: is not a TorchScript module ({line})") from None
         self.module.eval()
         _, *arguments = self.module.forward.schema.arguments  # the first is the module itself
-        options = known["env_options.json"] or known["geometry.json"]
+        options = known["env_options.json"]
         trained_with = json.loads(options) if options else None
         super().__init__(str(path), [one.name for one in arguments], trained_with, deterministic)
 

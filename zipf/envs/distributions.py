@@ -53,13 +53,7 @@ def rare(n: int) -> NDArray[np.float64]:
     Raises:
         ValueError: if `n < 5`, where the rarest fifth is empty.
     """
-    _check_size(n)
-    size = n // 5
-    if size == 0:
-        raise ValueError(f"the rarest fifth of {n} is empty: the rare distribution needs n >= 5")
-    probabilities = np.zeros(n)
-    probabilities[-size:] = 1.0 / size
-    return probabilities
+    return _fifth(n, "rarest", "rare")
 
 
 def validation(n: int) -> NDArray[np.float64]:
@@ -71,14 +65,16 @@ def validation(n: int) -> NDArray[np.float64]:
     Raises:
         ValueError: if `n < 5`, where the middle fifth is empty.
     """
+    return _fifth(n, "middle", "validation")
+
+
+def _fifth(n: int, which: str, name: str) -> NDArray[np.float64]:
     _check_size(n)
     size = n // 5
     if size == 0:
-        raise ValueError(
-            f"the middle fifth of {n} is empty: the validation distribution needs n >= 5"
-        )
+        raise ValueError(f"the {which} fifth of {n} is empty: the {name} distribution needs n >= 5")
+    first = n - size if which == "rarest" else (n - size) // 2
     probabilities = np.zeros(n)
-    first = (n - size) // 2
     probabilities[first : first + size] = 1.0 / size
     return probabilities
 

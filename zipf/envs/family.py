@@ -90,7 +90,7 @@ class Family:
         check: raises ValueError for a name that is not a level; None: those in `levels` are.
         baselines: scores of policies that do not learn, by the name that the policy has in
             `zipf.protocol.BASELINES`: "chance" is of uniformly random actions, "blind" the best
-            that is known of policies that neither read what an episode asks for nor look,
+            that is known of policies that are not told what an episode asks for,
             "generalist" and "expert" of scripted policies. Each is a function:
             `function(level, **options)` gives a `BaselineScore`, or None where it is not known.
             Baselines that are known of no level are left out.
@@ -161,14 +161,6 @@ class Family:
             pattern if one.only_trains and one.name in alone else one.name for one in self.splits
         )
         return tuple(dict.fromkeys(names))
-
-    def split(self, name: str) -> Split:
-        """The split of this name.
-
-        Raises:
-            ValueError: the family has no such split.
-        """
-        return _named("split", name, {split.name: split for split in self.splits})
 
     def check_level(self, name: str) -> None:
         """Raises ValueError if this name, without the family's, is not a level."""

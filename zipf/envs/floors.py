@@ -1,4 +1,4 @@
-"""What policies score that neither read what an episode asks for nor look: searched for.
+"""What policies score that are not told what an episode asks for: searched for.
 
 A floor that was only reasoned about may be beaten by a simple cheat, such as walking straight
 ahead. `search` tries to cheat on a level, with
@@ -46,7 +46,7 @@ SEARCHED = 1_000_000
 
 @dataclass(frozen=True)
 class Floor:
-    """A policy that neither reads nor looks, and its score."""
+    """A policy that is not told what is asked for, and its score."""
 
     policy: str  # its text
     score: float  # mean return

@@ -44,18 +44,6 @@ class Maze:
     objects: list[list[Cell]]
     doors: list[Cell]  # cells with a door
 
-    @property
-    def text(self) -> str:
-        """The maze as DeepMind Lab writes it, the north above: `*` solid, `P` a spawn, `O` an
-        object, `H` and `I` doors to walk through northwards and eastwards."""
-        drawn = np.where(self.solid, "*", " ")
-        for cells, letter in ((self.spawns, "P"), (self.objects, "O")):
-            for cell in (cell for room in cells for cell in room):
-                drawn[cell] = letter
-        for row, column in self.doors:
-            drawn[row, column] = "H" if self.solid[row, column - 1] else "I"
-        return "\n".join("".join(row) for row in drawn[::-1])
-
 
 def random_maze(rng: np.random.Generator, options: MazeOptions) -> Maze:
     """Draws a maze. All its cells are connected (through doors, if there are any)."""

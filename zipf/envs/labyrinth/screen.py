@@ -71,8 +71,3 @@ class Screen:
         right, ahead = east + (x - 0.5) * side - body[X], north - body[Y]
         up = height + (0.5 - y) * side - (body[Z] + EYE)
         return math.atan2(ahead, right), math.atan2(up, math.hypot(ahead, right))
-
-    @property
-    def watched(self) -> int:
-        """The widget that the player looks at; -1: none."""
-        return int(self._envs.watched[self._number])

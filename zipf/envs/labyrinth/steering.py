@@ -44,16 +44,6 @@ def walk_to(world: World, x: float, y: float, *, slowly: bool = False) -> int:
     return _FORWARD
 
 
-def face(world: World, x: float, y: float) -> int | None:
-    """The action that turns the view towards a point; None when it is within half a small turn."""
-    own_x, own_y, yaw, _ = world.player
-    off = bearing(yaw, math.atan2(y - own_y, x - own_x))
-    if abs(off) <= SMALL / 2:
-        return None
-    size = "" if abs(off) > (SMALL + LARGE) / 2 else "slightly "
-    return NAMES[f"look {size}{'left' if off > 0 else 'right'}"]
-
-
 def look_at(world: World, screen: Screen, place: Place) -> int:
     """The action that turns the gaze to a part of the screen; to wait if it is there."""
     left, top, right, bottom = place

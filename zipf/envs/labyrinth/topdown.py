@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw
 from zipf.envs.labyrinth import materials
 from zipf.envs.labyrinth.gaze import gaze
 from zipf.envs.labyrinth.lasertag.arena import TAGGED_AT
+from zipf.envs.labyrinth.patterns import Colour
 from zipf.envs.labyrinth.scenery import METRES, Scenery, atlas
 from zipf.envs.labyrinth.state import CELL, ITEMS, QUADS, YAW, Envs, X, Y
 from zipf.envs.render3d import FACES_DOWN, SEE_THROUGH, TILE_TEXTURE
@@ -23,8 +24,6 @@ _NOTHING = (36, 40, 50)
 _SOLID = (62, 68, 82)
 _MARGIN = 0.05
 _LEAST = 0.015  # radius of an item, as a share of the map
-
-Colour = tuple[int, int, int]
 
 
 def draw_map(envs: Envs, scenery: Scenery, world: int, size: int = SIZE) -> NDArray[np.uint8]:

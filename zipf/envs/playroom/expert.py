@@ -116,9 +116,10 @@ class Expert:
         """Walks to a place from which the target can be gripped, points at it and grips."""
         envs = self.envs
         agent = envs.agents[i].copy()
-        if _points_at(agent, envs, i) == 0:
+        env = one_env(envs, i)
+        if hand.pick(agent, env) == 0:
             return actions.GRAB
-        if _can_aim(agent, one_env(envs, i)):
+        if _can_aim(agent, env):
             return self._face(i, agent[YAW], agent[PITCH], closed=False)
         cells = self._search("viewpoints", i, self._poses(i), lambda: _viewpoints(agent, envs, i))
         return self.go(i, cells)
@@ -307,12 +308,6 @@ def _can_aim(agent, env):
 @compiled()
 def _centre(row, column):
     return (column + 0.5) * _CELL - ROOM / 2, (row + 0.5) * _CELL - ROOM / 2
-
-
-@compiled()
-def _points_at(agent, envs, i):
-    """The object of env `i` that an agent in this pose could grip, or -1."""
-    return hand.pick(agent, one_env(envs, i))
 
 
 @compiled()

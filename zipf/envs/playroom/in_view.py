@@ -61,7 +61,7 @@ def _is_seen(box, agent, wide, high, centres, frames, halves):
     cos, sin = math.cos(agent[YAW]), math.sin(agent[YAW])
     level, up = math.cos(agent[PITCH]), math.sin(agent[PITCH])
     ray = np.empty(3)
-    seen, points = 0, 0
+    seen = 0
     for cell in range(27):
         steps = (cell % 3 - 1, cell // 3 % 3 - 1, cell // 9 - 1)
         for c in range(3):
@@ -71,7 +71,6 @@ def _is_seen(box, agent, wide, high, centres, frames, halves):
         ray[0] -= agent[AX]
         ray[1] -= agent[AY]
         ray[2] -= EYE
-        points += 1
         ahead = cos * ray[0] + sin * ray[1]
         depth = level * ahead + up * ray[2]
         aside, above = sin * ray[0] - cos * ray[1], level * ray[2] - up * ahead
@@ -86,4 +85,4 @@ def _is_seen(box, agent, wide, high, centres, frames, halves):
                 entry = distance_along(ray, agent, centres[other], frames[other], halves[other])
                 hidden = entry < distance
         seen += not hidden
-    return seen >= _SHARE * points
+    return seen >= _SHARE * 27

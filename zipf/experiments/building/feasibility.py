@@ -88,8 +88,9 @@ def problems(config: Config, coming: Collection[Path] = ()) -> Iterator[str]:
     yield from found
     yield from _reads_itself(config)
     try:
-        find_device(config.device)
+        has_device = bool(find_device(config.device))
     except UserError as error:
+        has_device = False
         yield str(error)
     if problem := _no_folder(config):
         yield f"run_root={config.run_root:.200}: {problem}"
@@ -102,7 +103,8 @@ def problems(config: Config, coming: Collection[Path] = ()) -> Iterator[str]:
     yield from _no_matcher(config)
     yield from _not_in_a_cluster(config)
     yield from _not_by_several_learners(config)
-    yield from (line for line in _cannot_be_built(config) if line not in found)
+    if has_device:
+        yield from (line for line in _cannot_be_built(config) if line not in found)
 
 
 def _no_pretrained(config: Config, coming: Collection[Path]) -> Iterator[str]:
@@ -442,7 +444,8 @@ def _too_many_on_device(config: Config) -> str | None:
 
 def _too_many_codes(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
     """Observations and actions so many that their weights alone do not fit into RAM."""
-    each, free = 4 if config.device.startswith("cuda") else 16, free_ram()  # bytes of a weight
+    each = 4 if config.torch_device.startswith("cuda") else 16  # bytes of a weight
+    free = free_ram()
     for name, space in env.single_observation_space.items():
         if is_codes(space):
             size = number_of_codes(space) * config.network.code_channels * each
@@ -472,7 +475,7 @@ def _weight_bytes(config: Config, env: envs.ZipfVectorEnv) -> int | None:
     except (RuntimeError, RecursionError):  # more bytes than an integer holds, or layers
         return None
     size = sum(parameter.nbytes for parameter in network.parameters())
-    return size if config.device.startswith("cuda") else 4 * size
+    return size if config.torch_device.startswith("cuda") else 4 * size
 
 
 def _has_questions(split: envs.Split) -> bool:

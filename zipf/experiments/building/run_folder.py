@@ -54,14 +54,9 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
     saved = checkpoint.load(path)
     check_options(path, saved, config)
     with fits(path):
-        update, lengths = saved["update"], [saved["tables"][name] for name in TABLES]
+        update = saved["update"]
     if update > config.updates:
         raise UserError(f"{path}: is at update {update}, past updates={config.updates}")
-    if not all(isinstance(length, int) for length in lengths):
-        raise UserError(
-            f"{path}: is of an earlier version, with tables of another form; finish the run with "
-            "that version, or choose another run_root or name"
-        )
     if update == config.updates and ends_at(config.folder / "evaluations.csv", update):
         saved["evaluated"] = update  # the evaluation that ends a run comes after its checkpoint
     return saved

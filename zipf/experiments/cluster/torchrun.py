@@ -63,24 +63,21 @@ class Learner(OnlyLearner):
         return int(largest)
 
     def mean(self, metrics: dict[str, float]) -> dict[str, float]:
-        """As in the base class."""
         rows = self._gather(metrics) or [metrics]
         means = pd.DataFrame(rows).mean()  # without NaN
         return {str(name): float(mean) for name, mean in means.items()}
 
     def total(self, visits: Visits) -> Visits:
-        """As in the base class."""
         everywhere = Visits(visits.ranks)
         for state in self._gather(visits.state_dict()) or [visits.state_dict()]:
             everywhere.add_those(state)
         return everywhere
 
     def gather(self, own: dict[str, Any]) -> dict[str, Any]:
-        """As in the base class."""
         return {"learners": self._gather(own)}
 
     def receive(self, saved: dict[str, Any] | None) -> dict[str, Any] | None:
-        """As in the base class. It is sent, so that machines need no shared disk."""
+        """It is sent, so that machines need no shared disk."""
         common = saved and {name: part for name, part in saved.items() if name != "learners"}
         common = self.of_first(common)
         if common is None:
@@ -92,7 +89,6 @@ class Learner(OnlyLearner):
         return common | _unpacked(own[0])
 
     def of_first(self, value: Any) -> Any:
-        """As in the base class."""
         values = [_packed(value)]
         with _with_others():
             dist.broadcast_object_list(values, src=0)

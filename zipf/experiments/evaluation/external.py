@@ -126,7 +126,7 @@ def record(
         "environment": _environment(split, level_options),
         "paper": _paper(split, level_options),
         "situation": _situation(split, level_options),
-        "external": {"name": name, "geometry": env_options(split, **level_options)},
+        "external": {"name": name, "env_options": env_options(split, **level_options)},
         "version": zipf.__version__,
         "images": _images(split),
         "python": platform.python_version(),
@@ -257,8 +257,8 @@ def _recorded_levels(
         kinds = {one["level_kind"] for one in levels}
         new = {one.name for kind in split.kinds if kind not in kinds for one in split.levels(kind)}
         new -= {one["level"] for one in levels}
-        given = description["external"]["geometry"].items()
-        external = {"geometry": {name: one for name, one in given if name not in new}}
+        given = description["external"]["env_options"].items()
+        external = {"env_options": {name: one for name, one in given if name not in new}}
         here = {**description, "external": {**description["external"], **external}}
         differing = [
             f"{key} {there[key]} there, {here[key]} here" for key in same if there[key] != here[key]

@@ -18,7 +18,7 @@ from torch import Tensor
 from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.unroll import Unroll
 from zipf.envs.tensor import TensorEnv
-from zipf.experiments.hooks.augmentation import RandomAugmentation
+from zipf.experiments.hooks.augmentation import UNCHANGED, RandomAugmentation
 from zipf.experiments.hooks.exploration import CountOptions, weights_of
 from zipf.experiments.hooks.hook import Hook, Parts, Row
 
@@ -49,8 +49,7 @@ class View:
             actions = torch.from_numpy(augmentation.symmetries.actions)
             self._to_env = actions.to(env.device)
             self._to_agent = actions.argsort(1).to(env.device)
-        unchanged = torch.tensor([0, 0, 1, 2, 0, 0, 1.0, 0, 0], dtype=torch.float64)
-        self._unchanged = unchanged.to(env.device)
+        self._unchanged = torch.from_numpy(UNCHANGED).to(env.device)
 
     def draw(self, generator: torch.Generator, n: int) -> Tensor:
         """The numbers of `n` episodes, float64 [n, 9], as `RandomAugmentation` has them."""

@@ -27,6 +27,7 @@ from zipf.experiments.options.schema import (
     NAME_PATTERN,
     Config,
     schema,
+    with_precision,
 )
 from zipf.experiments.records.descriptions import LINE_PATTERN
 from zipf.experiments.records.learned_options import affects_learning, flatten
@@ -76,7 +77,7 @@ def read_composed(overrides: list[str]) -> tuple[Config, Composed]:
     values["row"] |= _asked_of_row(parsed, composed)
     del values["without_instruction"]
     try:
-        config = schema().model_validate(values)
+        config = with_precision(schema().model_validate(values))
     except ValidationError as error:
         raise Mistakes([*problems, *_explain(error, values)]) from None
     if problems:
@@ -96,7 +97,6 @@ def _mistyped(known: list[str]) -> Iterator[str]:
     values = dict(composed(*known).values)
     name = values.pop("name")
     values |= {"condition": "unnamed" if name is None else name, "row": {"title": "unnamed"}}
-    values["precision"] = values["precision"].replace("auto", "float32")
     del values["without_instruction"]
     try:
         Config.model_validate(values)

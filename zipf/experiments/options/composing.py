@@ -38,6 +38,9 @@ from zipf.registry import registries
 _using_hydra = threading.Lock()
 _SEED = re.compile(r"seed=\d{1,18}")
 
+Files = tuple[tuple[Path, int], ...]
+"""Files, and when they were last written, in nanoseconds."""
+
 
 @dataclass(frozen=True)
 class Composed:
@@ -113,18 +116,18 @@ def composed(*overrides: str) -> Composed:
     Raises:
         UserError: it cannot be composed; with Hydra's message.
     """
-    return _resolved(search_path(), *overrides)
+    return _resolved(_files(), search_path(), *overrides)
 
 
 @cache
-def _resolved(search_path: str, *overrides: str) -> Composed:
+def _resolved(files: Files, search_path: str, *overrides: str) -> Composed:
     seeds = [override for override in overrides if _SEED.fullmatch(override)]
     if any(re.match(r"[+~]+seed\b", override) for override in overrides):
         seeds = []
     others = [override for override in overrides if override not in seeds]
     try:
         # Composing takes Hydra a third of a second; a sweep's jobs often differ in the seed alone.
-        config, choices = _composed(search_path, *others)
+        config, choices = _composed(files, search_path, *others)
         config = copy.deepcopy(config)
         if seeds:
             config["seed"] = int(seeds[-1].partition("=")[2])
@@ -155,7 +158,7 @@ def _unreadable() -> str:
 
 
 @cache
-def _composed(search_path: str, *overrides: str) -> tuple[DictConfig, dict[str, str]]:
+def _composed(files: Files, search_path: str, *overrides: str) -> tuple[DictConfig, dict[str, str]]:
     _store()
     with hydra_at_configs():
         given = [override for override in (search_path, *overrides) if override]
@@ -293,33 +296,32 @@ def _forget(path: str) -> None:
 _stored: dict[str, config_files.Node] = {}  # what was stored last
 
 
-def _nodes() -> dict[str, config_files.Node]:
+def _files() -> Files:
+    """All files of configurations."""
+    places = ("*.yaml", "*/*.yaml", "*/*/*.yaml")
     folders = config_files.folders()
-    places = ("*.yaml", "experiments/*.yaml", "experiment/*.yaml")
-    files = [path for folder in folders for one in places for path in sorted(folder.glob(one))]
-    times = ((path, path.stat().st_mtime_ns) for path in files)
-    return _nodes_of(tuple(folders), tuple(times))
+    files = (path for folder in folders for one in places for path in sorted(folder.glob(one)))
+    return tuple((path, path.stat().st_mtime_ns) for path in files)
+
+
+def _nodes() -> dict[str, config_files.Node]:
+    return _nodes_of(tuple(config_files.folders()), _files())
 
 
 @cache
-def _nodes_of(
-    folders: tuple[Path, ...], files: tuple[tuple[Path, int], ...]
-) -> dict[str, config_files.Node]:
+def _nodes_of(folders: tuple[Path, ...], files: Files) -> dict[str, config_files.Node]:
     """The configurations in our layout in these folders, with files of these times."""
     return config_files.nodes()
 
 
 def _has_defaults(options: type[Options]) -> bool:
-    return all(name == "name" or not field.is_required() for name, field in _fields(options))
-
-
-def _fields(options: type[Options]) -> Iterable[tuple[str, Any]]:
-    return options.model_fields.items()
+    fields = options.model_fields.items()
+    return all(name == "name" or not field.is_required() for name, field in fields)
 
 
 def _defaults(options: type[Options]) -> dict[str, Any]:
     return {
         name: field.get_default(call_default_factory=True)
-        for name, field in _fields(options)
+        for name, field in options.model_fields.items()
         if name != "name"
     }

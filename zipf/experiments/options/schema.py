@@ -12,7 +12,7 @@ from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, create_model, field_validator
+from pydantic import Field, create_model
 
 from zipf import envs
 from zipf.errors import UserError
@@ -24,7 +24,6 @@ from zipf.registry import registries
 
 PositiveInt = Annotated[int, Field(ge=1, lt=10**15)]
 Interval = Annotated[list[Count], Field(min_length=2, max_length=2)]
-Pair = Annotated[list[PositiveInt], Field(min_length=2, max_length=2)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 NAME_PATTERN = r"^[^/.\r\n][^/\r\n]*$"
 DEVICE_PATTERN = r"^(auto|cpu|cuda(:\d+)?)$"
@@ -156,14 +155,6 @@ class Config(Options):
     collector: CollectorOptions
     evaluation: EvaluationOptions
     schedule: ScheduleOptions
-
-    @field_validator("precision")
-    @classmethod
-    def _precision_here(cls, precision: str, info: ValidationInfo) -> str:
-        """What `auto` is on this machine, so that a run's files tell what it computes in."""
-        if precision != "auto":
-            return precision
-        return "bfloat16" if has_bfloat16(info.data.get("device", "auto")) else "float32"
 
     @property
     def folder(self) -> Path:
@@ -335,6 +326,15 @@ class EvaluateOptions(Options):
 def module_names(text: str) -> list[str]:
     """The modules that the `plugins` option of a small command names: `a,b` or `[a,b]`."""
     return [name.strip() for name in text.strip("[] ").split(",") if name.strip()]
+
+
+def with_precision(config: Config) -> Config:
+    """With what `precision=auto` is on this machine, so that a run's files tell what it computes
+    in."""
+    if config.precision != "auto":
+        return config
+    here = "bfloat16" if has_bfloat16(config.device) else "float32"
+    return config.model_copy(update={"precision": here})
 
 
 def find_device(device: str) -> str:

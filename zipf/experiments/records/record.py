@@ -114,19 +114,6 @@ def write(folder: Path, record: Record) -> None:
         )
 
 
-def metric_rows(table: pd.DataFrame) -> pd.DataFrame:
-    """The `metrics.csv` of a run, as text, with a row for each metric, also where it is of an older
-    version and has a column for each."""
-    when = ["update", "frames", "seconds"]
-    if not len(table.columns) or "metric" in table:
-        return table
-    order = {name: place for place, name in enumerate(table.columns)}
-    rows = table.melt(when, var_name="metric", value_name="_value", ignore_index=False)
-    rows = rows[rows["_value"] != ""].rename(columns={"_value": "value"})
-    rows = rows.assign(place=rows["metric"].map(order), line=rows.index)
-    return rows.sort_values(["line", "place"]).drop(columns=["line", "place"])
-
-
 def _columns(file: str, tables: Iterable[pd.DataFrame]) -> list[str]:
     """The columns of all tables; those of situations with the ranks where the ranks are, and visits
     at the end."""

@@ -275,7 +275,7 @@ def _evaluations(path: Path, texts: pd.DataFrame, description: RunDescription) -
                 f"{unknown['level'].iloc[0]!r}; by run.json the run has "
                 f"{', '.join(known) or 'none of this kind'}"
             )
-    return _latest(rows, ["update", "level_kind", "level"])
+    return _in_order(rows)
 
 
 def _situations(
@@ -316,7 +316,7 @@ def _situations(
             f"{path.as_posix()}, line {too_many.index[0]}: {too_many['successes'].iloc[0]:g} "
             f"successes of {too_many['episodes'].iloc[0]} episodes"
         )
-    return _latest(rows, ["update", "level_kind", *names]), names
+    return _in_order(rows), names
 
 
 def _check_kinds(path: Path, rows: pd.DataFrame) -> None:
@@ -328,13 +328,7 @@ def _check_kinds(path: Path, rows: pd.DataFrame) -> None:
         )
 
 
-def _latest(rows: pd.DataFrame, key: list[str]) -> pd.DataFrame:
-    """One row per key, in order of updates.
-
-    A run of version 0.1.0 that was killed and resumed has the evaluations after its last checkpoint
-    twice, with the same outcome because resuming is exact; the later row is kept.
-    """
-    rows = rows.drop_duplicates(key, keep="last")
+def _in_order(rows: pd.DataFrame) -> pd.DataFrame:
     return rows.sort_values("update", kind="stable").reset_index(drop=True)
 
 

@@ -4,8 +4,8 @@ GLOSSARY = (
     ("environment (env)", "what an agent acts in; environments are stepped in batches"),
     (
         "family",
-        "levels that share an engine and differ in their distribution and options only: "
-        "gridworld, playroom, labyrinth",
+        "levels that share an engine, observations and actions, and differ in task and "
+        "distribution: gridworld, playroom, labyrinth",
     ),
     ("level", "a named environment with a fixed distribution of situations"),
     (
@@ -28,7 +28,7 @@ GLOSSARY = (
     ("baseline", "what a policy that does not learn scores: chance, blind, generalist, expert"),
     (
         "floor, blind",
-        "the best known score of a policy that neither reads what an episode asks for nor looks",
+        "the best known score of a policy that is not told what an episode asks for",
     ),
     ("frame", "one step of an environment as the agent sees it, after action repeat"),
     ("unroll", "T steps of B environments that an update learns from"),
@@ -44,6 +44,10 @@ GLOSSARY = (
     ("encoder, head", "the parts of a network before and after the memory"),
     ("auxiliary loss", "what the memory's output has to predict in addition to policy and value"),
     ("hindsight", "learning from episodes as if they had asked for what they achieved"),
+    ("memory of goals", "kept episodes of each goal, from which hindsight learns about all alike"),
+    ("matcher", "the part of a network that tells where an image shows what an instruction names"),
+    ("teacher", "a scripted policy whose actions an agent imitates"),
+    ("stage", "one of several trainings of which each begins with the weights of an earlier one"),
     ("condition", "a row of a table: agent, memory, auxiliary loss and other parts"),
     ("experiment", "environments, schedule and values of options: a file of configs/experiments/"),
     (

@@ -305,7 +305,8 @@ def _by_row(
         scores = frame[frame["row"] == row.key].set_index("column").reindex(list(columns))
         if scores["seeds"].isna().all():
             continue  # a row of another table than the columns'
-        leading = [row.title, seeds_text(int(scores["seeds"].min()))]
+        counts = scores["seeds"][scores["seeds"] > 0]  # older runs lack kinds of levels
+        leading = [row.title, seeds_text(int(counts.min()) if len(counts) else 0)]
         leading += [cells.get(row.key, NONE) for cells in budgets.values()]
         lines.append(_line(leading, scores))
     baselines = []

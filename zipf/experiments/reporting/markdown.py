@@ -61,7 +61,7 @@ def markdown_report(
 
 def linked_plots(markdown_text: str) -> list[str]:
     """The names of the plots that a `report.md` of this module shows."""
-    kinds = "|".join((*PLOT_KINDS, "hours"))  # as of 0.2.0 and before
+    kinds = "|".join(PLOT_KINDS)
     formats = "|".join(PLOT_FORMATS)
     link = rf"^!?\[([\w.-]+_(?:{kinds}))\]\((\1\.(?:{formats}))\)$"
     return [found[2] for found in re.finditer(link, markdown_text, re.MULTILINE)]

@@ -272,7 +272,7 @@ def _baseline_notes(runs: Sequence[Run], name: str) -> list[str]:
 
 
 def _floor_notes(runs: Sequence[Run]) -> list[str]:
-    """Levels on which a policy that neither reads nor looks does well."""
+    """Levels on which a policy that is not told what is asked for does well."""
     names: list[str] = []
     for run in runs:
         for level in run.description.levels:
@@ -284,8 +284,8 @@ def _floor_notes(runs: Sequence[Run]) -> list[str]:
         return []
     shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
     return [
-        f"Says little about reading: {shown}. A policy that neither reads nor looks has more than "
-        "half of the expert's score there."
+        f"Says little about reading: {shown}. A policy that is not told what is asked for has more "
+        "than half of the expert's score there."
     ]
 
 

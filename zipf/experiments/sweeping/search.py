@@ -209,8 +209,12 @@ class Search:
                 self._study.tell(trial.open, trial.objective)
                 trial.open = None
         run_folder.make(self.folder)
-        with open(self.folder / "trials.csv", "w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerows(self._table())
+        path = self.folder / "trials.csv"
+        try:
+            with open(path, "w", newline="", encoding="utf-8") as file:
+                csv.writer(file, lineterminator="\n").writerows(self._table())
+        except OSError as error:
+            raise UserError(f"{path}: cannot be written: {error.strerror}") from error
 
     def summary(self) -> Iterator[str]:
         """A table of all trials, the best first, and the command of the best."""

@@ -265,9 +265,8 @@ class BackgroundRollouts(SynchronousRollouts):
             self._visits = self.collector.take_visits()
             self._pending = None
             return
-        if "visits" in state:  # in older checkpoints of this version the collector has them all
-            self._visits.load_state_dict(arrays(state["visits"]))
-            self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
+        self._visits.load_state_dict(arrays(state["visits"]))
+        self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
         self._pending = None
         if state["pending"]:
             self._pending = Unroll.of_state(state["pending"]).to(self.collector.device)

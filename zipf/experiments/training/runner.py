@@ -129,8 +129,9 @@ def _as_user_errors(config: Config) -> Iterator[None]:
             raise UserError(str(error)) from None
         except RuntimeError as error:
             first = next(iter(str(error).strip().splitlines()), "")
-            if config.compile and isinstance(error, torch._dynamo.exc.TorchDynamoException):
-                raise UserError(f"compile=true: {first}; choose compile=false") from None
+            if compiles(config) and isinstance(error, torch._dynamo.exc.TorchDynamoException):
+                option = f"compile={str(config.compile).lower()}"
+                raise UserError(f"{option}: {first}; choose compile=false") from None
             if config.deterministic and "not have a deterministic implementation" in first:
                 raise UserError(f"deterministic=true: {first}; choose false") from None
             raise

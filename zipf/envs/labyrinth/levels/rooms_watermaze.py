@@ -57,7 +57,7 @@ class Watermaze(Episode):
         self.found = False
         x, y = self.place
         half = PLATFORM / 2 - 15.0  # a zone is entered by the edge of the player's box
-        self.zone = world.add_zone((x - half, y - half, 0.0), (x + half, y + half, 60.0))
+        world.add_zone((x - half, y - half, 0.0), (x + half, y + half, 60.0))
 
     def begin_map(self, rng: np.random.Generator) -> None:
         self.world.take(self.platform)
