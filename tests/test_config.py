@@ -432,12 +432,18 @@ def test_the_agent_that_was_chosen_is_tried(monkeypatch):
     loading.load(["experiment=demo", "agent.discount=0.4", "network.patch=8"])
 
 
-def test_all_mistakes_are_told_at_once():
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ["seeed=1", "memory=lstn", "seed=-1", "updates=many", "~network"],
+        ["seeed=1", "precision=16"],
+        ["device=cuda:99", "schedule.window=[9,1]"],
+    ],
+)
+def test_all_mistakes_are_told_at_once(wrong):
     with pytest.raises(UserError) as error:
-        loading.load(
-            ["experiment=demo", "seeed=1", "memory=lstn", "seed=-1", "updates=many", "~network"]
-        )
-    assert len(str(error.value).splitlines()) == 5
+        loading.load(["experiment=demo", *wrong])
+    assert len(str(error.value).splitlines()) == len(wrong)
 
 
 def test_a_sweep_is_checked_before_it_starts():

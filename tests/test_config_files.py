@@ -143,6 +143,16 @@ def test_a_folder_in_our_layout(folder):
     assert config_files.find("condition", "wide").place.comment == "IMPALA with a wide LSTM."
 
 
+@pytest.mark.parametrize("file", ["experiments/mine.yaml", "experiment/child.yaml"])
+def test_a_file_that_was_edited_is_read_again(file, folder):
+    path = folder(FILES | HYDRAS) / file
+    overrides = f"experiment={path.stem}", "seed=3"
+    assert values(*overrides)["updates"] != 71
+    lines = [one for one in path.read_text().splitlines() if not one.startswith("updates")]
+    path.write_text("\n".join([*lines, "updates: 71"]))
+    assert values(*overrides)["updates"] == 71
+
+
 def test_a_folder_in_hydras_layout(folder):
     """It includes ours by their names in this layout, and takes their place."""
     before = values("experiment=demo", "memory=lstm")
