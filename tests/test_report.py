@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import statistics as stdlib
 import subprocess
@@ -530,6 +531,15 @@ def test_a_page_that_cannot_be_read_is_named_before_anything_is_written(
     (runs / "notes.md").write_bytes(b"Notes.\n")
     assert report.main(arguments) == 0
     assert record.read_text("utf-8").endswith("Notes.\n")
+
+
+def test_the_record_names_the_command_that_writes_it_again(tmp_path: Path) -> None:
+    write_run(tmp_path / "runs", constant(0.6))
+    record = tmp_path / "RESULTS.md"
+    arguments = [(tmp_path / "runs").as_posix(), "window=last", "conditions=impala", "claims=true"]
+    assert report.main([*arguments, f"record={record.as_posix()}"]) == 0
+    command = shlex.join(["python", "-m", "zipf.report", *arguments, f"record={record.as_posix()}"])
+    assert f"`{command}`" in record.read_text("utf-8")
 
 
 # --- agents from outside ---------------------------------------------------------------------
