@@ -261,7 +261,7 @@ def test_a_missing_level_is_noted(tmp_path: Path) -> None:
     path.write_text("\n".join(kept) + "\n")
     table = only_table(tmp_path)
     assert table.notes == ("IMPALA, seed 0: no evaluation of rare; not counted there.",)
-    assert "| IMPALA | 0/3 | 0.50 |" in markdown.markdown(table)
+    assert "| IMPALA | 1/3 | 0.50 |" in markdown.markdown(table)
 
 
 def test_runs_are_found_through_links(tmp_path: Path) -> None:
