@@ -87,11 +87,6 @@ def problems(config: Config, coming: Collection[Path] = ()) -> Iterator[str]:
     found += unsupported(config.agent.name, parts)
     yield from found
     yield from _reads_itself(config)
-    try:
-        has_device = bool(find_device(config.device))
-    except UserError as error:
-        has_device = False
-        yield str(error)
     if problem := _no_folder(config):
         yield f"run_root={config.run_root:.200}: {problem}"
     if agent.largest_lag < config.lag:
@@ -103,8 +98,12 @@ def problems(config: Config, coming: Collection[Path] = ()) -> Iterator[str]:
     yield from _no_matcher(config)
     yield from _not_in_a_cluster(config)
     yield from _not_by_several_learners(config)
-    if has_device:
-        yield from (line for line in _cannot_be_built(config) if line not in found)
+    try:
+        find_device(config.device)
+    except UserError as error:
+        yield str(error)
+        return  # what follows is tried on it
+    yield from (line for line in _cannot_be_built(config) if line not in found)
 
 
 def _no_pretrained(config: Config, coming: Collection[Path]) -> Iterator[str]:
