@@ -33,13 +33,17 @@ KINDS_OF_WORLDS = list(
 
 
 def of_choices():
-    """Every choice with every kind of envs; in the quick tier, with the first possible one."""
-    first = {}
+    """Every choice with the first possible kind of envs; in the slow tier with all kinds, where one
+    of them lacks what a choice of the group needs."""
+    first, depending = {}, set()
     for experiment, (group, choice) in product(KINDS_OF_WORLDS, CHOICES):
         if needs(experiment, **{group: choice}) is None:
             first.setdefault((group, choice), experiment)
+        else:
+            depending.add(group)
+    quick = [(experiment, *one) for one, experiment in first.items()]
     every = ((experiment, *one) for experiment, one in product(KINDS_OF_WORLDS, CHOICES))
-    return slow_but(every, *((experiment, *one) for one, experiment in first.items()))
+    return slow_but([one for one in every if one in quick or one[1] in depending], *quick)
 
 
 def of_conditions():

@@ -133,7 +133,7 @@ TASKS = {
     for family in search_floors.ROWS
     for family, level, options in search_floors.tasks(family)
 }
-SECONDS = {"gridworld": 1.0, "playroom": 2.0, "labyrinth": 5.0}
+SECONDS = {"gridworld": 1.0, "playroom": 1.0, "labyrinth": 2.0}
 EPISODES = {"gridworld": 300, "playroom": 48, "labyrinth": 24}
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from zipf.errors import UserError
+from zipf.errors import UserError, reading
 from zipf.experiments.records.wording import PlotFormat, VideoFormat
 from zipf.lazy import callable_as
 from zipf.options import Options
@@ -285,9 +285,8 @@ def _pages(folders: Sequence[str | Path], written: Collection[Path]) -> list[str
     for path in found:
         if path.is_file() and path.resolve() not in own:
             try:
-                texts.append(path.read_text("utf-8"))
-            except OSError as error:
-                raise UserError(f"{path.as_posix()}: cannot be read: {error.strerror}") from None
+                with reading(path):
+                    texts.append(path.read_text("utf-8"))
             except UnicodeDecodeError as error:
                 raise UserError(f"{path.as_posix()}: is not UTF-8 text: {error}") from None
     return texts

@@ -20,7 +20,7 @@ from yaml import YAMLError
 import zipf
 from zipf import envs
 from zipf.envs import EngineError
-from zipf.errors import UserError
+from zipf.errors import UserError, writing
 from zipf.experiments.building import checkpoint
 from zipf.experiments.options.runtime import TorchrunOptions
 from zipf.experiments.options.schema import Config, schema
@@ -180,10 +180,8 @@ def write_description(
         "run.json": json.dumps(description, indent=2) + "\n",
     }
     for name, text in texts.items():
-        try:
+        with writing(config.folder):
             replace_text(config.folder / name, text)
-        except OSError as error:
-            raise UserError(f"{config.folder}: cannot be written: {error.strerror}") from None
 
 
 def describe_levels(
@@ -251,10 +249,8 @@ def mean_of_levels(described: list[dict[str, Any]], kind: str, baseline: str) ->
 
 def make(folder: Path) -> None:
     """Makes a run's folder. Raises `UserError` where it cannot be made."""
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
 
 
 @contextmanager
@@ -264,13 +260,12 @@ def lock(folder: Path) -> Iterator[None]:
     import fcntl  # here: Windows has none, and only training locks
 
     make(folder)
-    try:
+    with writing(folder):
         file = open(folder / "lock", "a")  # noqa: SIM115
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise UserError(f"{folder}: another process is training there") from None
-    except OSError as error:
-        raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UserError(f"{folder}: another process is training there") from None
     with file:
         yield
 

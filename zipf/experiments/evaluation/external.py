@@ -20,7 +20,7 @@ from pydantic import ValidationError
 import zipf
 from zipf import envs
 from zipf.envs.arguments import whole
-from zipf.errors import UserError
+from zipf.errors import UserError, writing
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation.scoring import (
     HOW_STEPPED,
@@ -165,13 +165,11 @@ def record(
             for row in evaluation.situations.to_dict("records")
         ],
     }
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         replace_text(folder / "run.json", json.dumps(description, indent=2) + "\n")
         for file, rows in tables.items():
             replace_text(folder / file, _with_rows(folder / file, update, rows))
-    except OSError as error:
-        raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
     return evaluation
 
 

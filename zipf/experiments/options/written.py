@@ -15,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from zipf.errors import UserError
+from zipf.errors import UserError, reading
 
 
 @dataclass(frozen=True)
@@ -84,10 +84,8 @@ def blocks(file: Path) -> dict[str, Written]:
 
 
 def _version(file: Path) -> tuple[Path, int]:
-    try:
+    with reading(file):
         return file, file.stat().st_mtime_ns
-    except OSError as error:
-        raise UserError(f"{file}: cannot be read: {error.strerror}") from None
 
 
 @cache

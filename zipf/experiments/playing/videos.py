@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from zipf import envs
 from zipf.envs.pictures import enlarge
 from zipf.envs.vector import ZipfVectorEnv
-from zipf.errors import UserError
+from zipf.errors import UserError, writing
 from zipf.experiments.building.run_folder import agent_file
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
@@ -109,12 +109,10 @@ def film(folder: Path, plugins: Sequence[str]) -> Path | None:
     situation = find_situation(trained, extreme)
     failures = [one for one in play(trained, situation, name)[0] if not one.success]
     path = folder / video_files.FOLDER / "failure.gif"
-    try:
+    with writing(path):
         path.parent.mkdir(exist_ok=True)
         for failure in failures:
             _record(trained, situation, failure, path)
-    except OSError as error:
-        raise UserError(f"{path.as_posix()}: cannot be written: {error.strerror}") from None
     return path if failures else None
 
 
@@ -122,7 +120,7 @@ def record_run(folder: Path, trained: TrainedAgent, format: VideoFormat) -> vide
     """Records the videos of a run in the place of those that it may have.
     Raises UserError: the envs do not play the same actions alike, or a file cannot be written."""
     target = folder / video_files.FOLDER
-    try:
+    with writing(target):
         target.mkdir(exist_ok=True)
         for path in sorted(target.iterdir()):
             if path.name == video_files.NAME or path.suffix[1:] in VIDEO_FORMATS:
@@ -147,8 +145,6 @@ def record_run(folder: Path, trained: TrainedAgent, format: VideoFormat) -> vide
             )
         made = video_files.Videos(update=trained.update, situations=tuple(parts))
         replace_text(target / video_files.NAME, made.model_dump_json(indent=2) + "\n")
-    except OSError as error:
-        raise UserError(f"{target.as_posix()}: cannot be written: {error.strerror}") from None
     return made
 
 

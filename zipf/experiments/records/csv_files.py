@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from zipf.errors import UserError
+from zipf.errors import UserError, reading
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,10 +77,8 @@ def read_header(path: Path) -> list[str]:
 
 def read_bytes(path: Path) -> bytes:
     """The file's content. Raises UserError: it cannot be read."""
-    try:
+    with reading(path):
         return path.read_bytes()
-    except OSError as error:
-        raise UserError(f"{path.as_posix()}: cannot be read: {error.strerror}") from error
 
 
 def plain(path: Path, content: bytes) -> bytes:

@@ -92,13 +92,11 @@ class Run:
         rows = self.evaluations_of(levels)
         weights = rows["level"].map(dict(levels.weights)).astype(float)
         rows = rows.assign(weighted=rows["score"] * weights / sum(levels.weights.values()))
-        means = rows.groupby("update", as_index=False).agg(
-            frames=("frames", "first"),
-            seconds=("seconds", "first"),
-            episodes=("episodes", "sum"),
-            score=("weighted", "sum"),
-            plain_score=("score", "mean"),
-        )
+        by_update = rows.groupby("update")  # at once, by `agg`, takes several times as long
+        means = by_update[["frames", "seconds"]].first()
+        means[["episodes", "score"]] = by_update[["episodes", "weighted"]].sum()
+        means["plain_score"] = by_update["score"].mean()
+        means = means.reset_index()
         return means if levels.is_weighted else means.assign(score=means["plain_score"])
 
 

@@ -97,21 +97,20 @@ def statistics_frame(table: ScoreTable) -> pd.DataFrame:
         known = {row: scores for row, scores in known.items() if len(scores) >= FEWEST_SEEDS}
         for row, scores in known.items():
             add(row, levels, IQM, "", len(scores), interquartile_mean(scores))
+        learned = above_chance(table, levels)
         for (first, theirs), (row, scores) in itertools.combinations(known.items(), 2):
-            if at_chance(table, levels, row, first):
-                continue
+            if learned.isdisjoint((row.key, first.key)):
+                continue  # which of them is better says nothing
             seeds = min(len(scores), len(theirs))
             add(row, levels, IMPROVEMENT, first.key, seeds, improvement(scores, theirs))
     return pd.DataFrame(lines, columns=[*STATISTICS_COLUMNS, "row"])
 
 
-def at_chance(table: ScoreTable, levels: LevelGroup, *rows: Row) -> bool:
-    """Whether none of these rows is `LEARNED` above chance on a kind of levels: which of them is
-    better says nothing then. False where chance is not known."""
-    scores = table.scores[table.scores["level_kind"] == levels.level_kind].set_index("row")
-    chance = scores["chance"].iloc[0]
-    best = scores.loc[[row.key for row in rows], "score"].max()
-    return bool(best < chance + LEARNED)
+def above_chance(table: ScoreTable, levels: LevelGroup) -> set[str]:
+    """The keys of the rows that are at least `LEARNED` above chance on a kind of levels; of all
+    where chance is not known."""
+    scores = table.scores[table.scores["level_kind"] == levels.level_kind]
+    return set(scores["row"][~(scores["score"] < scores["chance"] + LEARNED)])
 
 
 def seed_statistics(table: ScoreTable) -> SeedStatistics:
@@ -196,13 +195,14 @@ def _improvements(table: ScoreTable, frame: pd.DataFrame) -> Grid | None:
         return None
     (baseline,) = (row for row in table.rows if row.key == found["against"].iloc[0])
     found = found[found["against"] == baseline.key]
+    learned = {levels.level_kind: above_chance(table, levels) for levels in table.kinds}
     lines = []
     for row in table.rows:
         if row is not baseline:
             missing = {
-                levels.level_kind: AT_CHANCE
-                for levels in table.kinds
-                if at_chance(table, levels, row, baseline)
+                kind: AT_CHANCE
+                for kind, keys in learned.items()
+                if keys.isdisjoint((row.key, baseline.key))
             }
             enough = _seeds(table, row) >= FEWEST_SEEDS
             texts = {**(missing if enough else {}), **_texts(found[found["row"] == row.key])}

@@ -20,7 +20,7 @@ import numpy as np
 from hydra.core.override_parser.types import IntervalSweep, Override
 from pydantic import ValidationError
 
-from zipf.errors import UserError
+from zipf.errors import UserError, writing
 from zipf.experiments.building import loading, run_folder
 from zipf.experiments.options import command_line, config_files
 from zipf.experiments.options.naming import with_hash
@@ -210,11 +210,8 @@ class Search:
                 trial.open = None
         run_folder.make(self.folder)
         path = self.folder / "trials.csv"
-        try:
-            with open(path, "w", newline="", encoding="utf-8") as file:
-                csv.writer(file, lineterminator="\n").writerows(self._table())
-        except OSError as error:
-            raise UserError(f"{path}: cannot be written: {error.strerror}") from error
+        with writing(path), open(path, "w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(self._table())
 
     def summary(self) -> Iterator[str]:
         """A table of all trials, the best first, and the command of the best."""

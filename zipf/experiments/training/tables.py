@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from zipf.errors import UserError
+from zipf.errors import writing
 from zipf.experiments.evaluation.evaluator import Result, situations
 from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.records.result_table import TABLES, ResultTable, check_table
+
+KEPT = "; the last checkpoint is kept"
 
 
 class Tables:
@@ -35,7 +36,7 @@ class Tables:
             self.check(folder, update, lengths)
         self._tables = {}
         for name in TABLES:
-            with _writing(folder / name):
+            with writing(folder / name, KEPT):
                 self._tables[name] = ResultTable(folder / name, lengths[name] if lengths else 0)
 
     @staticmethod
@@ -46,7 +47,7 @@ class Tables:
 
     def lengths(self) -> dict[str, int]:
         """The tables' lengths in bytes, for a checkpoint; so much is on the disk on return."""
-        with _writing(self.folder):
+        with writing(self.folder, KEPT):
             return {name: table.length() for name, table in self._tables.items()}
 
     def metrics(self, when: Mapping[str, float], metrics: Mapping[str, float]) -> None:
@@ -65,20 +66,12 @@ class Tables:
     def text(self, line: str) -> None:
         """One line of `train.log`."""
         path = self.folder / "train.log"
-        with _writing(path), open(path, "a", encoding="utf-8") as file:
+        with writing(path, KEPT), open(path, "a", encoding="utf-8") as file:
             file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {line}\n")
 
     def _append(self, name: str, rows: Sequence[Any]) -> None:
-        with _writing(self.folder / name):
+        with writing(self.folder / name, KEPT):
             self._tables[name].append(rows)
-
-
-@contextmanager
-def _writing(path: Path, kept: str = "; the last checkpoint is kept") -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise UserError(f"{path}: cannot be written: {error.strerror}{kept}") from None
 
 
 def write_results(stem: Path, results: list[Result]) -> list[Path]:
@@ -92,6 +85,6 @@ def write_results(stem: Path, results: list[Result]) -> list[Path]:
         stem.with_name(f"{stem.name}-situations.csv"): situations(results),
     }
     for path, table in tables.items():
-        with _writing(path, kept=""):
+        with writing(path):
             table.to_csv(path, index=False)
     return list(tables)
