@@ -19,9 +19,11 @@ from zipf.envs.testing.steps import are_equal
 
 pytestmark = pytest.mark.slow
 
+# Interrupts are ignored by what a script starts in the background, and by all that this starts.
 SCRIPT = f"""
-import time
+import signal
 from zipf import envs
+signal.signal(signal.SIGINT, signal.default_int_handler)
 env = envs.make_vec({LIFT!r}, 4, processes=2, image_size=(12, 16))
 env.reset(seed=0)
 print(*(one.pid for one in env._processes), flush=True)
