@@ -793,8 +793,7 @@ def trained(env, network, memory, *, unroll_length, updates, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_r2d2_learns_to_find_three_goals_in_a_room(seed):
+def test_r2d2_learns_to_find_three_goals_in_a_room():
     """Touching a random one scores a third, touching the cued one 1. The median of five scores: the
     greedy policy may be caught in a circle at one of the cues, and 50 updates later it is not."""
     options = {
@@ -811,7 +810,7 @@ def test_r2d2_learns_to_find_three_goals_in_a_room(seed):
         MLPOptions(name="mlp", size=64, layers=1),
         unroll_length=10,
         updates=(300, 350, 400, 450, 500),
-        seed=seed,
+        seed=0,
     )
     env = envs.make_vec("gridworld/uniform", 100, **options)
     scores = [play(p, env, episodes=200, seed=2)["success"].mean() for p in policies]
