@@ -17,7 +17,7 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 import torch
 
-from zipf.errors import UserError
+from zipf.errors import UserError, reading
 
 _MAGIC = b"zipf checkpoint 1 "
 
@@ -51,7 +51,7 @@ def load(path: Path) -> dict[str, Any]:
     """Reads what `save` wrote; arrays come back as tensors on the CPU.
     Raises UserError: the file is missing or is not, to the last bit, what was written."""
     try:
-        with open(path, "rb") as file:
+        with reading(path), open(path, "rb") as file:
             header = file.read(len(_header(hashlib.sha256())))
             if not header.startswith(_MAGIC):
                 raise UserError(
@@ -64,8 +64,6 @@ def load(path: Path) -> dict[str, Any]:
                 )
             rest = _Rest(file, len(header))
             return torch.load(cast(BinaryIO, rest), map_location="cpu", weights_only=True)
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
     except UnpicklingError:
         raise UserError(f"{path}: holds more than data and was not loaded") from None
     except (RuntimeError, EOFError, KeyError, ValueError) as error:

@@ -20,7 +20,7 @@ from yaml import YAMLError
 import zipf
 from zipf import envs
 from zipf.envs import EngineError
-from zipf.errors import UserError, writing
+from zipf.errors import UserError, reading, writing
 from zipf.experiments.building import checkpoint
 from zipf.experiments.options.runtime import TorchrunOptions
 from zipf.experiments.options.schema import Config, schema
@@ -179,8 +179,8 @@ def write_description(
         "config.yaml": OmegaConf.to_yaml(config.model_dump()),
         "run.json": json.dumps(description, indent=2) + "\n",
     }
-    for name, text in texts.items():
-        with writing(config.folder):
+    with writing(config.folder):
+        for name, text in texts.items():
             replace_text(config.folder / name, text)
 
 
@@ -349,7 +349,8 @@ def _read_options(folder: Path, plugins: Collection[str]) -> Config:
     if not path.is_file():
         raise UserError(f"{folder}: is no run's folder (it has no config.yaml)")
     try:
-        values: Any = OmegaConf.to_container(OmegaConf.load(path))
+        with reading(path):
+            values: Any = OmegaConf.to_container(OmegaConf.load(path))
         missing = [name for name in values.get("plugins", ()) if name not in plugins]
         if missing:
             raise UserError(
@@ -360,8 +361,6 @@ def _read_options(folder: Path, plugins: Collection[str]) -> Config:
     except (ValueError, TypeError, AttributeError, OmegaConfBaseException, YAMLError) as error:
         first = next(iter(str(error).splitlines()), type(error).__name__)
         raise UserError(f"{path}: is not a configuration of this version ({first})") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _check_same(folder: Path, description: dict[str, Any], config: Config, **known: Any) -> None:
