@@ -157,12 +157,17 @@ def _split(name: str, order: str, trained: str = "zipf_1", paper: str | None = N
     )
 
 
+PAIR = ("rooms_collect_good_objects_train", "explore_object_locations_small")
+"""The tasks of the split `labyrinth_pair`."""
+
 SPLITS = (
     _split("labyrinth_forward", "forward", paper="labyrinth_forward"),
     _split("labyrinth_reversed", "reversed", paper="labyrinth_reversed"),
     _split("labyrinth_uniform", "forward", "uniform"),  # ours: uniform training, to compare with
     *(Split(f"labyrinth_{task}", _normalised(task)) for task in LEVELS),  # ours: one task alone
+    # Ours: two tasks that are learned alone, each in half of the environments.
+    Split("labyrinth_pair", tuple(_normalised(task) for task in PAIR)),
 )
 """Human-normalised scores of the tasks, averaged by their weights: Zipf's law in training (the
 third trains evenly), evenly over all tasks, over the rarest fifth, and over the middle fifth. Then
-a split for each task, which trains on it alone and has no other levels."""
+a split for each task, which trains on it alone and has no other levels, and one for two of them."""
