@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cache
+from math import isnan, nan
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
@@ -20,6 +21,7 @@ from zipf.experiments.reporting.seed_statistics import (
     bootstrap_of_situations,
     success_by_situation,
 )
+from zipf.experiments.reporting.statistics import FEWEST_SEEDS
 from zipf.experiments.reporting.tables import ScoreTable, score_tables
 from zipf.protocol import BASELINES, PAPER_KINDS
 
@@ -146,14 +148,13 @@ def _published(task: Task, kinds: Sequence[str], *, hours: bool = False) -> tupl
 def _shown(
     agent: Agent, title: str, kinds: Sequence[str], *, hours: bool = False
 ) -> tuple[str, ...]:
-    """Frames and hours are those of the runs that an agent began with, too."""
+    """Frames and hours are those of the runs that an agent began with, too; a dash where the record
+    has not all of these."""
     table, row = _row(agent.folder)
     scores = table.scores[table.scores["row"] == row.key].set_index("level_kind")
     seeds, frames = int(scores["seeds"].min()), int(scores["frames"].min())
-    began = (run.description.pretrained for run in row.runs)
-    frames += max(one.frames if one else 0 for one in began)
     texts = [score_text(scores["score"].get(kind, float("nan"))) for kind in kinds]
-    if len(found := success_by_situation(row, table)):
+    if len(found := success_by_situation(row, table)) >= FEWEST_SEEDS:
         _, low, high = bootstrap_of_situations(found)
         texts[kinds.index("rare")] += f" [{score_text(low)}, {score_text(high)}]"
     if len(changes := envs.family_of_split(table.description.split).image_changes):
@@ -165,16 +166,27 @@ def _shown(
 
 def _spent(runs: Sequence[Run]) -> str:
     hours = median(map(_hours, runs))
+    if isnan(hours):
+        return NONE
     return f"{hours:.1f}" if hours >= 0.1 else f"{hours:.2f}"
 
 
 def _hours(run: Run) -> float:
-    """Of a run and of those that it began with, where the record has them."""
+    """Of a run and of those that it began with; NaN where the record has not all of these."""
     before = 0.0
     if there := run.description.pretrained:
         folder = RESULTS / there.experiment / there.condition / f"seed{there.seed}"
-        before = sum(_hours(one) for one in _all_runs() if one.folder == folder)
+        # A later run may have its name.
+        found = [one for one in _all_runs() if one.folder == folder]
+        same = found and _learned(found[0]) == there.frames
+        before = _hours(found[0]) if same else nan
     return run.seconds / 3600 + before
+
+
+def _learned(run: Run) -> int:
+    """The frames of a run and of those that it began with."""
+    began = run.description.pretrained
+    return run.frames + (began.frames if began else 0)
 
 
 def _levels(folder: str) -> list[dict[str, Any]]:

@@ -171,26 +171,26 @@ def test_every_row_has_to_hold() -> None:
 
 
 @pytest.mark.parametrize(
-    ("one", "of_a", "of_b", "chance", "decided"),
+    ("one", "of_a", "of_b", "floor", "decided"),
     [
         (DIFFERENCE, 0.1, 0.14, 0.1, False),
         (DIFFERENCE, 0.1, 0.15, 0.1, True),
         (DIFFERENCE, 0.15, 0.1, 0.1, True),
         (CHANGE, 0.1, 0.14, 0.1, False),
-        (DIFFERENCE, 0.1, 0.14, math.nan, True),  # chance is not known
+        (DIFFERENCE, 0.1, 0.14, math.nan, True),  # the floor is not known
         (VALUE, 0.1, 0.14, 0.1, True),  # nothing is compared
     ],
 )
-def test_scores_at_chance_are_not_compared(
-    one: Expression, of_a: float, of_b: float, chance: float, decided: bool
+def test_scores_at_the_floor_are_not_compared(
+    one: Expression, of_a: float, of_b: float, floor: float, decided: bool
 ) -> None:
     known = {
-        (condition, "rare"): Measured(value, 3, 1000, chance)
+        (condition, "rare"): Measured(value, 3, 1000, floor)
         for condition, value in (("a", of_a), ("b", of_b))
     }
     verdict = (one <= 9).judge(Results(known, every=["a", "b"]))
     assert verdict.outcome == ("holds" if decided else "not enough data")
-    assert ("none is 0.05 above chance" in verdict.numbers[0]) != decided
+    assert ("none is 0.05 above the floor" in verdict.numbers[0]) != decided
 
 
 def test_what_is_compared_is_also_shown_by_seed() -> None:

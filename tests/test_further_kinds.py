@@ -14,7 +14,7 @@ from zipf.experiments.building import loading
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation import evaluator, scoring
 from zipf.experiments.hooks.visits import Visits
-from zipf.experiments.reporting import markdown
+from zipf.experiments.reporting import markdown, seed_statistics
 from zipf.report import report
 
 SMALL = {"num_rooms": (2, 2), "num_objects": 5}
@@ -154,6 +154,14 @@ def test_a_table_has_the_further_kinds_and_a_dash_for_runs_of_before(tmp_path: P
     lines = {line.split(" | ")[0]: line for line in reversed(text.splitlines())}
     assert lines["| IMPALA"].endswith("| 0.40 | 0.20 |")
     assert lines["| R2D2"].endswith("| – | – |")
+    for seed in (1, 2):
+        write_run(tmp_path, scores, condition="impala", levels=levels, seed=seed)
+        write_run(tmp_path, constant(0.1), condition="r2d2", seed=seed)
+    statistics = seed_statistics.seed_statistics(only_table(tmp_path))
+    means, better = statistics.grids
+    assert [line.leading[1] for line in means.lines] == ["3", "3"]
+    assert means.lines[1].ours[2:] == ["0.10 [0.10, 0.10]", "–", "–"]
+    assert better.lines[0].ours[3:] == ["–", "–"]
 
 
 def test_a_run_of_before_resumes_and_is_scored_on_the_further_kinds(tmp_path: Path) -> None:

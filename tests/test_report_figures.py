@@ -530,7 +530,9 @@ def test_a_pretrained_agents_curve_begins_at_the_frames_it_inherited(tmp_path: P
     there |= {"frames": 1_000_000, "parts": ["encoder"]}
     write_run(tmp_path, constant(0.5))
     write_run(tmp_path, constant(0.6), condition="r2d2", pretrained=there)
-    figure = picture_of(only_table(tmp_path), "learning")
+    table = only_table(tmp_path)
+    assert list(table.frames.values()) == [1_228_800, 2_228_800]
+    figure = picture_of(table, "learning")
     assert figure.axes[0].get_xlabel() == "Frames"
     own, pretrained = figure.axes[0].lines[:2]
     np.testing.assert_array_equal(own.get_xdata(), [409_600, 819_200, 1_228_800])

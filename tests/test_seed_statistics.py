@@ -111,19 +111,20 @@ def test_statistics_in_the_report(tmp_path: Path) -> None:
     assert written.startswith(",".join(seed_statistics.STATISTICS_COLUMNS))
 
 
-def test_conditions_at_chance_are_not_compared(tmp_path: Path) -> None:
-    """Chance is 0.03, 0.05 and 0.09: a rare score of 0.1 against 0.05 says nothing."""
+def test_conditions_at_the_floor_are_not_compared(tmp_path: Path) -> None:
+    """A rare score of 0.1 against 0.05 says nothing, as chance is 0.09; a training score of 0.6
+    against 0.5 neither, as blind is 0.63."""
     for seed, extra in enumerate((0.0, 0.001, 0.002)):
         scores = {update: (0.5 + extra, 0.3, 0.05 + extra) for update in (100, 200, 300)}
         write_run(tmp_path, scores, seed=seed)
-        scores = {update: (0.7 + extra, 0.06, 0.1 + extra) for update in (100, 200, 300)}
+        scores = {update: (0.6 + extra, 0.06, 0.1 + extra) for update in (100, 200, 300)}
         write_run(tmp_path, scores, condition="r2d2", seed=seed)
     text = shown(tmp_path)
-    assert "| R2D2 | 1.00 [1.00, 1.00] | 0.00 [0.00, 0.00] | at chance |" in text
-    assert "Not of two that are less than 0.05 above chance." in text
+    assert "| R2D2 | at the floor | 0.00 [0.00, 0.00] | at the floor |" in text
+    assert "less than 0.05 above the floor, the higher one of chance and blind." in text
     frame = seed_statistics.statistics_frame(only_table(tmp_path))
     compared = frame[frame["statistic"] == seed_statistics.IMPROVEMENT]
-    assert set(compared["level_kind"]) == {"train", "uniform"}
+    assert set(compared["level_kind"]) == {"uniform"}
 
 
 def test_success_in_each_rare_situation(tmp_path: Path) -> None:
@@ -153,6 +154,16 @@ def test_success_in_each_rare_situation(tmp_path: Path) -> None:
         drawn = [rng.binomial(20, rates[s, k]) / 20 for s in seeds for k in situations]
         means.append(np.mean(drawn))
     assert (low, high) == pytest.approx(tuple(np.quantile(means, [0.025, 0.975])), abs=0.03)
+
+
+def test_one_seed_has_no_interval(tmp_path: Path) -> None:
+    lines = [
+        f"{update},rare,18,{k},10,{won},{won}.0"
+        for update in (100, 300)
+        for k, won in ((18, 5), (19, 10))
+    ]
+    write_run(tmp_path, constant(0.5), situations=[SITUATIONS, *lines])
+    assert "| IMPALA | 0.75 | 0.50 | 1.00 |" in shown(tmp_path)
 
 
 def test_one_seed_has_one_sentence(tmp_path: Path) -> None:

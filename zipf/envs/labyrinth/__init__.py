@@ -17,6 +17,10 @@ FAMILY = Family(
     make="zipf.envs.labyrinth.labyrinth_env:LabyrinthEnv",
     make_vec="zipf.envs.labyrinth.benchmark:make_vec",
     baselines={name: mean_of_tasks(name) for name in ("chance", "blind", "generalist", "expert")},
+    blind_policies={
+        "first answer": "zipf.envs.labyrinth.blind:first_answer",
+        "second answer": "zipf.envs.labyrinth.blind:second_answer",
+    },
     appearance=frozenset({"image_size"}),
     keys="zipf.envs.labyrinth.keys:KEYS",
     expert="zipf.envs.labyrinth.expert:Expert",

@@ -37,6 +37,11 @@ class Episode(ABC):
         expert everything, to show that the level can be solved; the generalist what it has seen.
         """
 
+    def guess(self, number: int) -> int | None:
+        """What one does now who acts as the expert but guesses the answer: the one with this
+        number, from 0. None: the level asks for no answer."""
+        return None
+
     def aside(self) -> int | None:
         """The action with which the expert steps aside where it is stuck; None: it never is."""
         return None

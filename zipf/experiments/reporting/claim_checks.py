@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from typing import Literal
 
+import numpy as np
 import pandas as pd
 
 from zipf.experiments.records.paper import paper_table
@@ -23,7 +24,7 @@ Place = tuple[str, str]  # a condition and a column
 UNDECIDED: Outcome = "not enough data"
 
 LEARNED = 0.05
-"""How far above chance a score is, at least, that tells something about an agent; ours: what the
+"""How far above the floor a score is, at least, that tells something about an agent; ours: what the
 checks take for "the same"."""
 
 ROUNDING = 1e-9  # sums and quotients of published decimals are off by their rounding
@@ -40,7 +41,8 @@ class Measured:
     # seeds, episodes: over how many it is known; episodes are the fewest of an evaluation
     seeds: int
     episodes: int
-    chance: float = math.nan  # what random actions score there; NaN where that is not known
+    # what policies score there that are not told what is asked for; NaN where that is not known
+    floor: float = math.nan
     # the score of each seed; empty where they are not known
     by_seed: Mapping[int, float] = field(default_factory=dict)
 
@@ -79,7 +81,7 @@ def results_of(table: ScoreTable) -> Results:
             float(line["score"]),
             int(line["seeds"]),
             int(line["episodes"]),
-            float(line["chance"]),
+            float(np.fmax(line["chance"], line["blind"])),
             by_seed[place],
         )
     experiment = table.description.paper
@@ -172,9 +174,10 @@ class Expression:
         """Whether it holds.
 
         A score of fewer seeds than the protocol's three is shown and decides nothing. Nor do scores
-        that are compared and none of which is `LEARNED` above chance: they are of agents that have
-        not learned what the level asks for. A check of several conditions fails where one of them
-        fails it, and holds where every one is known and holds.
+        that are compared and none of which is `LEARNED` above the floor, the higher one of chance
+        and blind: they are of agents that have not learned what the level asks for. A check of
+        several conditions fails where one of them fails it, and holds where every one is known and
+        holds.
         """
         condition = self.places[0][0]
         if condition != EVERY:
@@ -224,8 +227,8 @@ class Expression:
             return UNDECIDED, text
         if self.measure:
             text += self._over_seeds(places, known)
-            if all(score.score < score.chance + LEARNED - ROUNDING for score in known.values()):
-                return UNDECIDED, f"{text}; none is {LEARNED} above chance"
+            if all(score.score < score.floor + LEARNED - ROUNDING for score in known.values()):
+                return UNDECIDED, f"{text}; none is {LEARNED} above the floor"
         inside = self.at_least - ROUNDING <= value <= self.at_most + ROUNDING
         return "holds" if inside else "fails", text
 

@@ -114,7 +114,10 @@ def legend(tables: Sequence[ScoreTable]) -> list[str]:
             f"evaluation, and not to be compared."
         )
     if any(table.budgets_differ for table in tables):
-        sentences.append("The column Frames has the training frames behind a row's scores.")
+        sentences.append(
+            "The column Frames has the training frames behind a row's scores, with those of the "
+            "runs that it began with."
+        )
     if any(row.external for table in tables for row in table.rows):
         sentences.append(
             f"{EXTERNAL_MARK}: recorded from outside this package and scored at its last "
@@ -157,8 +160,9 @@ def claims_caption(lines: Sequence[ClaimLine]) -> str:
     sentences = [
         f"A claim holds if its measure lies within bounds, which are ours. A score of fewer than "
         f"{PROTOCOL_SEEDS} seeds decides nothing, nor do compared scores of which none is "
-        f"{LEARNED} above chance. By seed: least and largest measure over all choices of a seed "
-        f"of each condition. Last column: the same check of the numbers that the paper prints."
+        f"{LEARNED} above the floor, the higher one of chance and blind. By seed: least and "
+        f"largest measure over all choices of a seed of each condition. Last column: the same "
+        f"check of the numbers that the paper prints."
     ]
     known = {line.claim.id for line in lines if line.at_hand}
     without = dict.fromkeys(line.claim.id for line in lines if line.claim.id not in known)

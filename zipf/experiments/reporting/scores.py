@@ -74,7 +74,6 @@ def score_frame(
     table shows it, and whether it is that of the last evaluation since none is inside the window.
     NaN is "none"."""
     runs = [run for row in rows for run in row.runs]
-    baselines = {levels.column: _baselines(runs, levels) for levels in groups}
     lines = []
     for row in rows:
         for levels in groups:
@@ -105,7 +104,7 @@ def score_frame(
                     "spread": row.runs[0].description.spread,
                     "paper_value": published.value if published else np.nan,
                     "paper_error": error if error is not None else np.nan,
-                    **baselines[levels.column],
+                    **_baselines([*row.runs, *runs], levels),
                     "window": ", ".join({str(window_of(run, window)): run for run in row.runs}),
                 }
             )
@@ -122,7 +121,7 @@ def _score(runs: Sequence[Run], levels: LevelGroup, window: Window) -> dict[str,
         "evaluations": min((len(rows) for rows in scored.values()), default=0),
         "episodes": min((rows["episodes"].min() for rows in scored.values()), default=0),
         "updates": min((rows["update"].max() for rows in scored.values()), default=pd.NA),
-        "frames": min((rows["frames"].max() for rows in scored.values()), default=pd.NA),
+        "frames": min((_frames(run, rows) for run, rows in scored.items()), default=pd.NA),
     }
     if not scored:
         measured = dict.fromkeys(("score", "error", "plain_score", "plain_error"), np.nan)
@@ -131,6 +130,13 @@ def _score(runs: Sequence[Run], levels: LevelGroup, window: Window) -> dict[str,
     else:
         measured = _across_tasks(scored, levels)
     return effort | {"capped_score": np.nan, "capped_error": np.nan} | measured
+
+
+def _frames(run: Run, evaluations: pd.DataFrame) -> int:
+    """How many the run had learned from at the last of these evaluations, with those of the run
+    whose weights it began with."""
+    began = run.description.pretrained
+    return int(evaluations["frames"].max()) + (began.frames if began else 0)
 
 
 def means_inside(run: Run, levels: LevelGroup, window: Window) -> pd.DataFrame:

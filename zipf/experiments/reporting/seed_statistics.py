@@ -33,7 +33,7 @@ STATISTICS_COLUMNS = (
     "table", "experiment", "condition", "title", "external", "level_kind", "statistic", "against",
     "value", "low", "high", "seeds", "levels",
 )  # fmt: skip
-AT_CHANCE = "at chance"
+AT_FLOOR = "at the floor"
 MOST_SITUATIONS = 20  # ours: more columns are read by nobody
 TOO_FEW = f"needs {FEWEST_SEEDS} seeds"
 IQM, IMPROVEMENT = "interquartile mean", "probability of improvement"
@@ -97,7 +97,7 @@ def statistics_frame(table: ScoreTable) -> pd.DataFrame:
         known = {row: scores for row, scores in known.items() if len(scores) >= FEWEST_SEEDS}
         for row, scores in known.items():
             add(row, levels, IQM, "", len(scores), interquartile_mean(scores))
-        learned = above_chance(table, levels)
+        learned = above_floor(table, levels)
         for (first, theirs), (row, scores) in itertools.combinations(known.items(), 2):
             if learned.isdisjoint((row.key, first.key)):
                 continue  # which of them is better says nothing
@@ -106,11 +106,12 @@ def statistics_frame(table: ScoreTable) -> pd.DataFrame:
     return pd.DataFrame(lines, columns=[*STATISTICS_COLUMNS, "row"])
 
 
-def above_chance(table: ScoreTable, levels: LevelGroup) -> set[str]:
-    """The keys of the rows that are at least `LEARNED` above chance on a kind of levels; of all
-    where chance is not known."""
+def above_floor(table: ScoreTable, levels: LevelGroup) -> set[str]:
+    """The keys of the rows that are at least `LEARNED` above chance and blind on a kind of levels;
+    of all where neither is known."""
     scores = table.scores[table.scores["level_kind"] == levels.level_kind]
-    return set(scores["row"][~(scores["score"] < scores["chance"] + LEARNED)])
+    floor = np.fmax(scores["chance"], scores["blind"])
+    return set(scores["row"][~(scores["score"] < floor + LEARNED)])
 
 
 def seed_statistics(table: ScoreTable) -> SeedStatistics:
@@ -128,14 +129,14 @@ def seed_statistics(table: ScoreTable) -> SeedStatistics:
             sentences.append(
                 "Probability of improvement: that a seed of the row is better than one of the "
                 "other, ties counting half; at 0.5 neither is. Not of two that are less than "
-                f"{LEARNED:g} above chance."
+                f"{LEARNED:g} above the floor, the higher one of chance and blind."
             )
     if (rare := _rare_situations(table)) is not None:
         grids.append(rare)
         sentences.append(
             "Success in rare situations: in each, numbered by its ranks, of every seed over the "
-            "window. Mean: of all of these, with the 95 % interval of a bootstrap that draws "
-            "seeds, situations and episodes."
+            "window. Mean: of all of these; from two seeds on with the 95 % interval of a "
+            "bootstrap that draws seeds, situations and episodes."
         )
     if (met := _visits(table)) is not None:
         grids.append(met)
@@ -180,8 +181,8 @@ def _means(table: ScoreTable, frame: pd.DataFrame) -> Grid:
         _line(
             [row.title, seeds_text(_seeds(table, row))],
             _texts(found[found["row"] == row.key]),
+            row,
             table,
-            TOO_FEW,
         )
         for row in table.rows
     ]
@@ -195,18 +196,18 @@ def _improvements(table: ScoreTable, frame: pd.DataFrame) -> Grid | None:
         return None
     (baseline,) = (row for row in table.rows if row.key == found["against"].iloc[0])
     found = found[found["against"] == baseline.key]
-    learned = {levels.level_kind: above_chance(table, levels) for levels in table.kinds}
+    learned = {levels.level_kind: above_floor(table, levels) for levels in table.kinds}
     lines = []
     for row in table.rows:
         if row is not baseline:
-            missing = {
-                kind: AT_CHANCE
+            low = {
+                kind: AT_FLOOR
                 for kind, keys in learned.items()
                 if keys.isdisjoint((row.key, baseline.key))
             }
             enough = _seeds(table, row) >= FEWEST_SEEDS
-            texts = {**(missing if enough else {}), **_texts(found[found["row"] == row.key])}
-            lines.append(_line([row.title], texts, table, TOO_FEW))
+            texts = {**(low if enough else {}), **_texts(found[found["row"] == row.key])}
+            lines.append(_line([row.title], texts, row, table))
     title = f"{IMPROVEMENT} on {baseline.title}"
     return _grid(table, title, "improvement", ["Condition"], lines)
 
@@ -220,7 +221,9 @@ def _rare_situations(table: ScoreTable) -> Grid | None:
     lines = []
     for row, found in rates.items():
         if len(found):
-            mean = estimate_text(*bootstrap_of_situations(found))
+            value, low, high = bootstrap_of_situations(found)
+            enough = len(found) >= FEWEST_SEEDS
+            mean = estimate_text(value, low, high) if enough else score_text(value)
             each = ["/".join(score_text(p) for p, _ in found[name]) for name in names]
             lines.append(Line([row.title, mean], each, [NONE] * len(names)))
     ranks = ", ".join(table.runs[0].situation_names[: len(names[0])])
@@ -309,7 +312,9 @@ def _met(visits: pd.Series, episodes: pd.Series, least: str) -> str:
 
 
 def _seeds(table: ScoreTable, row: Row) -> int:
-    return int(table.scores[table.scores["row"] == row.key]["seeds"].min())
+    """The fewest of any kind of levels that the row has a score of."""
+    counts = table.scores[table.scores["row"] == row.key]["seeds"]
+    return int(counts[counts > 0].min()) if (counts > 0).any() else 0
 
 
 def _texts(found: pd.DataFrame) -> dict[str, str]:
@@ -319,8 +324,12 @@ def _texts(found: pd.DataFrame) -> dict[str, str]:
     }
 
 
-def _line(leading: list[str], texts: Mapping[str, str], table: ScoreTable, missing: str) -> Line:
-    ours = [texts.get(levels.level_kind, missing) for levels in table.kinds]
+def _line(leading: list[str], texts: Mapping[str, str], row: Row, table: ScoreTable) -> Line:
+    scores = table.scores[table.scores["row"] == row.key].set_index("level_kind")
+    ours = [
+        (texts.get(levels.level_kind) or TOO_FEW) if scores["seeds"][levels.level_kind] else NONE
+        for levels in table.kinds
+    ]
     return Line(leading, ours, [NONE] * len(ours))
 
 

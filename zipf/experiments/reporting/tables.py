@@ -58,9 +58,9 @@ class ScoreTable:
         return [run for row in self.rows for run in row.runs]
 
     def baseline(self, name: str) -> dict[str, float]:
-        """Score of a policy that does not learn by level kind, without those not known."""
-        known = self.scores.dropna(subset=[name])
-        return dict(zip(known["level_kind"], known[name], strict=True))
+        """Score of a policy that does not learn by level kind, the first row's that has one;
+        without those not known."""
+        return self.scores.groupby("level_kind", sort=False)[name].first().dropna().to_dict()
 
     def baseline_episodes(self, name: str) -> list[int]:
         """Over how many episodes a baseline was measured on each level, without those on which it

@@ -60,6 +60,7 @@ class Psychlab(Episode):
             tint=_DARK,
         )
         self.screen = world.add_screen(DISTANCE, HEIGHT, SIDE)
+        self.buttons: tuple[Place, ...] = ()  # of the latest trial
         self.done = 0  # trials that have been answered
 
     def begin_map(self, rng: np.random.Generator) -> None:
@@ -123,6 +124,10 @@ class Psychlab(Episode):
     def act(self, known: Knowledge) -> int:
         """Looks at what is wanted. The screen shows, or has shown, all that tells what that is."""
         return look_at(self.world, self.screen, self.wanted)
+
+    def guess(self, number: int) -> int:
+        answering = self.wanted in self.buttons
+        return look_at(self.world, self.screen, self.buttons[number] if answering else self.wanted)
 
 
 class Staircase:
