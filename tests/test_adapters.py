@@ -294,6 +294,13 @@ def test_torchrl_is_told_of_levels_that_are_drawn():
     assert set(played["level"].flatten().tolist()) == {0, 1}
 
 
+def test_libraries_that_keep_observations_are_given_fresh_ones() -> None:
+    with pytest.raises(ValueError, match="copy must be True for Stable-Baselines3"):
+        sb3_env(batch(copy=False))
+    with pytest.raises(ValueError, match="copy must be True for TorchRL"):
+        torchrl_env(batch("Disabled", copy=False))
+
+
 def test_torchrl_hears_of_no_success_where_there_is_none():
     env = torchrl_env(Quiet(ENVS, **SMALL, autoreset_mode="Disabled"))
     played = env.rollout(20, break_when_any_done=False)["next"]

@@ -140,11 +140,36 @@ def test_worlds_are_reset_after_an_error(
         changed.setattr(env, method, fails)
         with pytest.raises(RuntimeError, match="the engine is gone"):
             steps()
-    with pytest.raises(ResetNeeded, match="reset envs"):
+    with pytest.raises(ResetNeeded, match=r"reset envs \[0, 1, 2\] first"):
         env.step(np.zeros(3, np.int64))
     env.reset()
     env.step(np.zeros(3, np.int64))
     env.set_state(env.get_state())
+
+
+@pytest.mark.parametrize("mode", ["SameStep", "NextStep", "Disabled"])
+def test_no_mode_begins_episodes_after_an_error(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: Any) -> Any:
+        raise RuntimeError("the engine is gone")
+
+    env = make_vec("gridworld/uniform", 3, autoreset_mode=mode, **SMALL)
+    env.reset(seed=0)
+    with monkeypatch.context() as changed:
+        changed.setattr(env, "_advance", fails)
+        with pytest.raises(RuntimeError, match="the engine is gone"):
+            env.step(np.zeros(3, np.int64))
+    with pytest.raises(ResetNeeded, match=r"reset envs \[0, 1, 2\] first"):
+        env.step(np.zeros(3, np.int64))
+
+
+def test_who_replaces_observations_does_not_replace_buffers() -> None:
+    env = make_vec("gridworld/uniform", 3, copy=False, **SMALL)
+    seen, _ = env.reset(seed=0)
+    kept = seen["image"]
+    seen["image"] = kept[:, ::9, ::9]
+    for _ in range(3):
+        seen, *_ = env.step(np.zeros(3, np.int64))
+        assert seen["image"] is kept
 
 
 def test_a_state_of_the_wrong_kind(env: ZipfVectorEnv) -> None:

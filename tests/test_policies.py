@@ -511,6 +511,40 @@ class Logits(nn.Module):
         return torch.log(torch.arange(1, 9).float() / 36).expand(image.shape[0], 8)
 
 
+class Learned(nn.Module):
+    """Has learned its first state; returns actions in eight bits."""
+
+    def __init__(self):
+        super().__init__()
+        self.first = nn.Parameter(torch.zeros(1))
+
+    def forward(self, image, previous_action, state):
+        check = torch.all((previous_action == -1) == (state[:, 0] == 0))
+        return (image[:, 31, 31, 0] % 8) if bool(check) else image[:, 0, 0, 0] + 100, state + 1
+
+    @torch.jit.export
+    def initial_state(self, num_envs: int) -> list[torch.Tensor]:
+        return [self.first.expand(num_envs, 1)]
+
+
+class NotANumber(nn.Module):
+    def forward(self, image):
+        return torch.full((image.shape[0], 8), float("nan"))
+
+
+@deprecated
+def test_a_torchscript_file_may_have_learned_its_first_state(tmp_path):
+    path = scripted_file(tmp_path / "agent.pt", Learned())
+    assert set(evaluate.score(torchscript.policy(path), **PLAY))
+
+
+@deprecated
+def test_logits_that_are_no_numbers_are_refused(tmp_path):
+    path = scripted_file(tmp_path / "agent.pt", NotANumber())
+    with pytest.raises(ValueError, match=r"its logits are not numbers \(NaN\)"):
+        evaluate.score(torchscript.policy(path), **PLAY)
+
+
 @deprecated
 def test_actions_are_drawn_from_logits(tmp_path):
     path = scripted_file(tmp_path / "agent.pt", Logits())

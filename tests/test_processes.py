@@ -14,6 +14,7 @@ from gymnasium.error import ResetNeeded
 from test_slices import LIFT, SMALL
 
 from zipf import envs
+from zipf.envs import family
 from zipf.envs.processes import Processes
 from zipf.envs.testing.steps import are_equal
 
@@ -91,6 +92,27 @@ def test_envs_that_cannot_be_made_leave_no_process() -> None:
     with pytest.raises(ValueError, match="processes=2: a GridworldVectorEnv is stepped by one"):
         envs.make_vec("gridworld/zipf_2", 4, processes=2)
     assert children() == before
+
+
+def make_lift(num_envs: int, level: str, **options: Any) -> envs.ZipfVectorEnv:
+    return envs.make_vec(LIFT, num_envs, **SMALL[LIFT], **options)
+
+
+def test_families_of_others_are_known_to_processes(monkeypatch: Any) -> None:
+    monkeypatch.setattr(family, "_FAMILIES", {**family._FAMILIES})
+    make, options = "test_processes:make_lift", {"summary": "", "levels": ("lift",)}
+    envs.register(envs.Family(name="of_a_script", make_vec=make, sliceable=True, **options))
+    made = envs.make_vec("of_a_script/lift", 4, processes=2)
+    whole = envs.make_vec(LIFT, 4, **SMALL[LIFT])
+    assert are_equal(made.reset(seed=0), whole.reset(seed=0))
+    made.close()
+
+
+def test_functions_that_another_process_has_not_are_refused(monkeypatch: Any) -> None:
+    monkeypatch.setattr(make_lift, "__module__", "__main__")
+    monkeypatch.setattr(sys.modules["__main__"], "make_lift", make_lift, raising=False)
+    with pytest.raises(ValueError, match=r"not to be had in another process: .*make_lift"):
+        envs.make_vec(make_lift, 4, processes=2)
 
 
 def children() -> list[str]:

@@ -12,6 +12,7 @@ import pytest
 import torch
 from scipy.stats import chisquare
 from tensordict import NonTensorData, TensorDict
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from zipf.agents import free_space, replay
 from zipf.agents.priorities import PrioritySampler, SumTree
@@ -439,6 +440,15 @@ def test_sizes_as_text(size, words):
     assert free_space.in_words(size) == words
 
 
+class NothingWrittenFromElsewhere(TorchDispatchMode):
+    """Refuses to index a tensor of one device with values of another, as CUDA does."""
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        if func is torch.ops.aten.index_put_.default:
+            assert args[0].device == args[2].device
+        return func(*args, **(kwargs or {}))
+
+
 def on_meta(items):
     """As `Sequences` makes items of a device: their parts know it."""
     parts = {name: part.to("meta") for name, part in items.items()}
@@ -450,8 +460,9 @@ def test_items_stay_on_their_device(monkeypatch):
     monkeypatch.setattr(replay, "free_on", lambda device: 1000)
     options = {"priority_exponent": 0.9, "importance_exponent": 0.6, "seed": 0}
     kept = Replay(on_meta(ITEM), capacity=10, folder=None, spare=0, **options)
-    for k in range(3):
-        assert kept.insert(on_meta(items(6 * k, 6))).device.type == "cpu"
+    with NothingWrittenFromElsewhere():
+        for k in range(3):
+            assert kept.insert(on_meta(items(6 * k, 6))).device.type == "cpu"
     drawn, index, weights = kept.sample(4)
     assert {drawn["steps", "image"].device.type, drawn["memory"].device.type} == {"meta"}
     assert (index.device.type, weights.device.type) == ("cpu", "cpu")

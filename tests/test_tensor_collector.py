@@ -388,6 +388,41 @@ def test_a_run_goes_on_on_the_host_and_back(tmp_path, capsys):
     assert [total for _, total in met] == [3 * ENVS * STEPS, 6 * ENVS * STEPS, 9 * ENVS * STEPS]
 
 
+def test_a_replay_is_left_behind_where_envs_move(tmp_path, capsys):
+    """It holds images on the host and codes on the device. New episodes are others."""
+    chosen = [*TINY, *R2D2, "agent.storage=ram", "device=cpu", "evaluation.episodes=2",
+              f"run_root={tmp_path}"]  # fmt: skip
+    episodes = []
+    for updates, where in ((3, "host"), (6, "device"), (9, "host")):
+        config = loading.load([*chosen, f"updates={updates}", f"collector.envs={where}"])
+        assert runner.train(config) == 0
+        shown = capsys.readouterr()
+        assert ("the replay was left behind" in shown.out + shown.err) == (updates > 3)
+        source = checkpoint.load(config.folder / "checkpoint.pt")["source"]
+        if where == "host":
+            episodes.append(source["collector"]["environment"]["streams"])
+    assert not np.array_equal(*episodes)
+
+
+def test_a_stored_memory_is_that_before_its_sequence():
+    """Also without lag, where the next unroll is written over the one before."""
+    late = []
+    _, tensors = both(*R2D2, "agent.storage=ram", "memory=lstm", "agent.replay_capacity=240")
+    agent = tensors.agent
+    agent.begin_learning(None, 1)
+    rollouts = TensorRollouts(tensors, 1, 0)
+
+    def learn(unroll):
+        late.append({name: part.clone() for name, part in unroll.late_memory.items()})
+        return agent.update(unroll)
+
+    for _ in range(4):
+        rollouts.step(learn)
+    stored = agent.replay._items["memory"][: 3 * ENVS]
+    for k in range(3):  # a run's first unroll has no burn-in, and is not stored
+        assert_equal(stored[k * ENVS : (k + 1) * ENVS].to_dict(), late[k])
+
+
 @pytest.mark.parametrize(
     ("chosen", "said"),
     [

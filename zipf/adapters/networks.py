@@ -119,7 +119,7 @@ class NetworkPolicy(ABC):
                 f"that are neither observations ({', '.join(observation)}) nor given are: "
                 f"{', '.join(self.states) or 'none'}"
             )
-        self.action = self.choose(output)
+        self.action = self.choose(output).astype(np.int64)
         return self.action
 
     def choose(self, output: NDArray) -> NDArray:
@@ -132,6 +132,8 @@ class NetworkPolicy(ABC):
                 f"{self.name}: its first output is {output.dtype} of shape {output.shape}; should "
                 f"be actions, integers of shape ({expected[0]},), or logits of shape {expected}"
             )
+        if np.isnan(output).any():
+            raise ValueError(f"{self.name}: its logits are not numbers (NaN)")
         if not self.deterministic:
             # The highest of logits with Gumbel noise is a draw from their softmax.
             output = output + self.rng.gumbel(size=output.shape)

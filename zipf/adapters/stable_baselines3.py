@@ -65,11 +65,11 @@ class ZipfVecEnv(VecEnv):
     `infos[i]` of other steps are empty.
 
     Args:
-        env: a batch in `AutoresetMode.SAME_STEP`.
+        env: a batch in `AutoresetMode.SAME_STEP` with `copy=True`.
 
     Raises:
-        ValueError: `env` is no batch of ours, has another autoreset mode, or two parts of its
-            observations would have the same name.
+        ValueError: `env` is no batch of ours, has another autoreset mode, reuses the arrays of its
+            observations, or two parts of these would have the same name.
     """
 
     def __init__(self, env: ZipfVectorEnv) -> None:
@@ -79,6 +79,10 @@ class ZipfVecEnv(VecEnv):
             raise ValueError(
                 f"autoreset_mode must be SAME_STEP for Stable-Baselines3, got "
                 f"{env.autoreset_mode.name}"
+            )
+        if not env.copy:
+            raise ValueError(
+                "copy must be True for Stable-Baselines3, which keeps observations after a step"
             )
         self.env = env
         self._names = _names(env.single_observation_space)

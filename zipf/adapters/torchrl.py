@@ -51,11 +51,13 @@ def torchrl_env(env: ZipfVectorEnv, *, device: str | None = None) -> GymWrapper:
       (int64) of the episode, where `("next", "done")` is True; zero elsewhere.
 
     Args:
-        env: a batch in `AutoresetMode.DISABLED`: TorchRL resets the envs that are done itself.
+        env: a batch in `AutoresetMode.DISABLED`, as TorchRL resets the envs that are done itself,
+            with `copy=True`.
         device: where TorchRL puts the tensors.
 
     Raises:
-        ValueError: `env` is no batch of ours, has another autoreset mode, or a rank or a part of
+        ValueError: `env` is no batch of ours, has another autoreset mode, reuses the arrays of its
+            observations, or a rank or a part of
             its observations has the name of something else in a TensorDict or a dtype that TorchRL
             has not.
     """
@@ -66,6 +68,8 @@ def torchrl_env(env: ZipfVectorEnv, *, device: str | None = None) -> GymWrapper:
             "autoreset_mode must be DISABLED for TorchRL (make_vec(..., "
             f'autoreset_mode="Disabled")), got {env.autoreset_mode.name}'
         )
+    if not env.copy:
+        raise ValueError("copy must be True for TorchRL, which keeps observations after a step")
     names = [*_TAKEN, *env.single_observation_space, *env.situation]
     if twice := [name for name in names if names.count(name) > 1]:
         raise ValueError(

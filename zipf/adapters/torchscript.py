@@ -51,7 +51,7 @@ class _TorchScriptPolicy(NetworkPolicy):
                 "recurrent states they need a method initial_state(num_envs: int) -> list[Tensor] "
                 "of the module"
             )
-        states = [state.numpy() for state in self.module.initial_state(num_envs)]
+        states = [state.detach().numpy() for state in self.module.initial_state(num_envs)]
         if len(states) != len(self.states):
             raise ValueError(
                 f"{self.name}: initial_state returns {len(states)} states, but {len(self.states)} "

@@ -56,8 +56,8 @@ class Replay:
         seed: int,
     ):
         self.device = next(iter(item.values(True, True))).device
-        number = torch.zeros((), dtype=torch.int64, device=self.device)
-        # TorchRL writes an `index` of its own beside every item.
+        # Written from the host, as the `index` that TorchRL puts beside every item.
+        number = torch.zeros((), dtype=torch.int64)
         self.item = item.clone().update({"number": number, "index": number.clone()})
         self.capacity = capacity
         self.folder = folder

@@ -60,10 +60,10 @@ class Sequences:
         memory = unroll.memory
         if self.burn_in:
             prefix, memory = self._prefix, self._prefix_memory
-            # The collector overwrites the rows of an unroll.
+            # The collector overwrites the rows of an unroll, and of tensor environments its memory.
             self._prefix = steps[self.unroll_length - self.burn_in : self.unroll_length].clone()
             assert unroll.late_memory is not None
-            self._prefix_memory = unroll.late_memory
+            self._prefix_memory = {name: part.clone() for name, part in unroll.late_memory.items()}
             if prefix is None:
                 return None
             steps = torch.cat([prefix, steps])

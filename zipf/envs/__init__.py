@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from zipf.envs.baselines import BaselineScore
 from zipf.envs.errors import EngineError, EnvError
 from zipf.envs.family import (
+    OURS,
     SCRIPTED,
     Family,
     Scripted,
@@ -69,5 +70,5 @@ __all__ = [
     "questions", "register", "scripted", "sliceable", "split", "symmetries", "zipfian",
 ]  # fmt: skip
 
-for _package in ("gridworld", "playroom", "labyrinth"):
+for _package in OURS:
     register(importlib.import_module(f"zipf.envs.{_package}").FAMILY)

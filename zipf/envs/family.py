@@ -215,6 +215,9 @@ class Family:
         )
 
 
+OURS = ("gridworld", "playroom", "labyrinth")
+"""The families of this package, each a package of its name in `zipf.envs`."""
+
 _FAMILIES: dict[str, Family] = {}
 
 
@@ -346,7 +349,9 @@ def make_vec(
         ValueError: for an unknown level, or options out of range.
     """
     if threads != 1 or processes is not None:
-        return _sliced(partial(_rows_of, level), num_envs, threads, processes, **kwargs)
+        given = level if isinstance(level, list | tuple) else [level]
+        make = partial(_rows_of, level)
+        return _sliced(make, given, num_envs, threads, processes, **kwargs)
     if isinstance(level, str):
         found, name = find_level(level)
         return found.make_batch(name, num_envs, **kwargs)
@@ -364,6 +369,7 @@ def make_vec(
 
 def _sliced(
     make: Callable[..., ZipfVectorEnv],
+    levels: Sequence[Level | SplitLevel],
     num_envs: int,
     threads: int,
     processes: int | None,
@@ -377,7 +383,25 @@ def _sliced(
         raise ValueError(f"threads={threads}, processes={processes}: give one of them")
     from zipf.envs.processes import Processes
 
+    named = (one.level if isinstance(one, SplitLevel) else one for one in levels)
+    found = (find_level(one)[0] for one in named if isinstance(one, str))
+    registered = {one.name: one for one in found if one.name not in OURS}
+    make = partial(_made_of, tuple(registered.values()), make)
     return Processes(make, num_envs, processes, **kwargs)
+
+
+def _made_of(
+    registered: tuple[Family, ...],
+    make: Callable[..., ZipfVectorEnv],
+    rows: slice,
+    num_envs: int,
+    **kwargs: Any,
+) -> ZipfVectorEnv:
+    """What `make` makes, in a process that knows the package's own families only."""
+    for family in registered:
+        if family.name not in _FAMILIES:
+            register(family)
+    return make(rows, num_envs, **kwargs)
 
 
 def _rows_of(
@@ -438,7 +462,8 @@ def make_train(
     trained = {level.name: level.weight for level in split.train}
     drawn = ranked, [trained.get(one.name, 0.0) for one in ranked]
     if threads != 1 or processes is not None:
-        return _sliced(partial(_rows_drawn, *drawn), num_envs, threads, processes, **kwargs)
+        make = partial(_rows_drawn, *drawn)
+        return _sliced(make, ranked, num_envs, threads, processes, **kwargs)
     return _mixture(drawn[0], num_envs, drawn[1], **kwargs)
 
 

@@ -253,9 +253,14 @@ def work(pipe: int, memory: int) -> None:
         except (EOFError, OSError):
             return
         try:
-            reply = pickle.dumps((True, worker.call(*pickle.loads(message))), -1)
+            asked = pickle.loads(message)
         except Exception as error:
-            reply = _failure(error)
+            reply = _failure(ValueError(f"not to be had in another process: {error}"))
+        else:
+            try:
+                reply = pickle.dumps((True, worker.call(*asked)), -1)
+            except Exception as error:
+                reply = _failure(error)
         with contextlib.suppress(OSError):  # nobody waits for it any more
             ours.send_bytes(reply)
 

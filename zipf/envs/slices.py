@@ -151,7 +151,7 @@ class Slices(ZipfVectorEnv):
         try:
             found = self._step_slices(actions, observation, final)
         except BaseException:
-            self._running[:] = self._all_running = False  # some were stepped, others not
+            self._lose(self._everywhere)  # some were stepped, others not
             raise
         rewards, terminations, truncations, nows, lasts = zip(*found, strict=True)
         terminated, truncated = np.concatenate(terminations), np.concatenate(truncations)

@@ -548,8 +548,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             reward, terminated, truncated, success = self._advance(actions, mask)
         except BaseException:
             # Some envs may have been stepped and others not.
-            self._running &= ~mask
-            self._all_running = False
+            self._lose(mask)
             raise
         now = self._running_info()
         if begins:
@@ -574,7 +573,11 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                     self._check_finite(final, done)
                     info["final_obs"] = final
                     info["_final_obs"] = done.copy()
-                self._begin_episodes(done, self._unforced)
+                try:
+                    self._begin_episodes(done, self._unforced)
+                except BaseException:
+                    self._lose(mask)  # what the other envs did in this step is lost
+                    raise
                 info.update(self._running_info())
             else:
                 info.update(outcome)
@@ -584,6 +587,13 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self._observe(observation, self._everywhere)
         self._check_finite(observation, self._everywhere)
         return observation, reward, terminated, truncated, info
+
+    def _lose(self, mask: NDArray[np.bool_]) -> None:
+        """The envs of `mask` have to be reset before the next step, in every mode."""
+        self._running &= ~mask
+        self._all_running = False
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP:  # which would begin episodes in them
+            self._seeded &= ~mask
 
     def _begin_slice(self, mask: NDArray[np.bool_], forced: NDArray[np.int64]) -> None:
         """`_begin` of a slice of another batch."""
@@ -617,7 +627,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             if finite.all():
                 continue
             i = int(finite.argmin())
-            self._running[:] = self._all_running = False
+            self._lose(self._everywhere)
             raise self._not_finite(i, name, observation[name][i])
 
     def _not_finite(self, i: int, name: str, values: NDArray[Any]) -> EnvError:
@@ -644,7 +654,7 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 return self.allocate()
             if name not in self._buffers:
                 self._buffers[name] = self.allocate()
-            return self._buffers[name]
+            return dict(self._buffers[name])  # whose entries the caller may replace
         if mapping(name, out).keys() != self._shapes.keys():
             raise ValueError(f"{name} must have the keys {list(self._shapes)}, got {list(out)}")
         for key, (shape, dtype) in self._shapes.items():

@@ -68,7 +68,7 @@ class HostCollector(Collector):
             agent,
             unroll_length=unroll_length,
             hooks=[self.visits, *hooks],
-            generator=torch.Generator().manual_seed(seed),
+            generator=torch.Generator(),
         )
         self._augmentation = cast(HostAugmentation | None, agent.augmentation)
         self._episodes: dict[str, list[float]] = defaultdict(list)
@@ -85,8 +85,13 @@ class HostCollector(Collector):
             )
             for _ in range(1 + lag)
         ]
-        env.reset(seed=seed, out=self._buffers[-1].observation_row(-1))
-        self._show(self._buffers[-1], -1, torch.ones(env.num_envs, dtype=torch.bool))
+        self.begin_episodes(seed)
+
+    def begin_episodes(self, seed: int) -> None:
+        """Begins new episodes in all envs; the seed is of these, of later ones and of actions."""
+        self._generator.manual_seed(seed)
+        self.env.reset(seed=seed, out=self._buffers[-1].observation_row(-1))
+        self._show(self._buffers[-1], -1, torch.ones(self.env.num_envs, dtype=torch.bool))
 
     def collect(self) -> Unroll:
         """Plays T steps in every env.

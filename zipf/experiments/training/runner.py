@@ -504,6 +504,11 @@ class Run:
             self.evaluated = saved["evaluated"]
             self._lengths = saved["tables"]
             self.clock.load_state_dict(saved["clock"])
+            was_on_device = "tensor_envs" in saved["source"]
+            has_moved = was_on_device == isinstance(self.env, ZipfVectorEnv)
+            if has_moved and saved["agent"].get("replay"):  # codes there, images here
+                saved["agent"] |= {"replay": {}, "prefix": {}}
+                saved["without_replay"] = True
             try:
                 self.agent.load_state_dict(saved["agent"])
             except OSError as error:  # files that the checkpoint refers to
@@ -513,9 +518,11 @@ class Run:
                     "the replay was left behind: a new one is filled before learning goes on, "
                     "which is not bit for bit as it would have been"
                 )
+            if has_moved and isinstance(self.rollouts, SynchronousRollouts):
+                seed = derive_seed(self.config.seed, "training", self.update)
+                self.rollouts.collector.begin_episodes(seed)
             self.rollouts.load_state_dict(saved["source"])
-            was_on_device = "tensor_envs" in saved["source"]
-            if was_on_device == isinstance(self.env, ZipfVectorEnv):
+            if has_moved:
                 where, before = ("host", "device") if was_on_device else ("device", "host")
                 self._notes.append(
                     f"envs are stepped on the {where} now, and were on the {before}: new episodes "

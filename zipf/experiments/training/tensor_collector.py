@@ -89,8 +89,13 @@ class TensorCollector(Collector):
         sizes = int(np.prod(list(self.ranks.values())))
         self.met = torch.zeros(sizes, dtype=torch.int64, device=self.device)
         self._one = torch.ones(env.num_envs, dtype=torch.int64, device=self.device)
-        _copy(self._buffers.shown(unroll_length), env.observe())
-        self._show(self._buffers, unroll_length, self._one.bool())
+        self.begin_episodes(seed)
+
+    def begin_episodes(self, seed: int) -> None:
+        """Begins new episodes in all envs; the seed is of all that is drawn."""
+        self.env.reset(seed)
+        _copy(self._buffers.shown(self.unroll_length), self.env.observe())
+        self._show(self._buffers, self.unroll_length, self._one.bool())
 
     def collect(self) -> Unroll:
         """Plays T steps in every env. The unroll is overwritten by the next call."""
