@@ -21,7 +21,7 @@ from zipf.agents.gtrxl import GTrXLOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.r2d2 import R2D2, R2D2Options
-from zipf.agents.returns import lambda_returns, rescale, unrescale
+from zipf.agents.returns import rescale, unrescale
 from zipf.agents.unroll import Unroll
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, feasibility, loading, run_folder
@@ -185,54 +185,6 @@ def test_rescaling_equals_the_definition_and_unrescaling_is_its_inverse():
     values = pytest.importorskip("torchrl.modules")
     theirs = values.SignedHyperbolicValueTransform(epsilon=1e-3)
     torch.testing.assert_close(rescale(tensor), theirs(tensor), rtol=1e-3, atol=1e-5)
-
-
-def returns_by_hand(x, discount, lambda_):
-    """The average of n-step returns with weights (1 - lambda) lambda^(n-1), the longest with what
-    is left (Sutton and Barto 2018, equation 12.3), for every step on its own."""
-    x = {name: tensor.double().numpy() for name, tensor in x.items()}
-    steps, batch = x["rewards"].shape
-    returns = np.zeros((steps, batch))
-    for b in range(batch):
-        for t in range(steps):
-            rewards, weight = 0.0, 1.0
-            for n in range(1, steps - t + 1):
-                last = t + n - 1
-                rewards += discount ** (n - 1) * x["rewards"][last, b]
-                value = x["values"][last, b]
-                if x["terminated"][last, b]:
-                    value = 0.0
-                if x["truncated"][last, b]:
-                    value = x["truncation_values"][last, b]
-                is_longest = (
-                    last == steps - 1 or x["terminated"][last, b] or x["truncated"][last, b]
-                )
-                share = weight if is_longest else weight * (1 - lambda_)
-                returns[t, b] += share * (rewards + discount**n * value)
-                weight *= lambda_
-                if is_longest:
-                    break
-    return returns
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("lambda_", [0.0, 0.3, 0.8, 1.0])
-def test_lambda_returns_are_averages_of_n_step_returns(seed, lambda_):
-    rng = np.random.default_rng(seed)
-    shape = (12, 5)
-    ended, cut = rng.random(shape) < 0.2, rng.random(shape) < 0.5
-    floats = [torch.tensor(rng.normal(size=shape), dtype=torch.float32) for _ in range(3)]
-    x = {
-        "rewards": floats[0],
-        "values": floats[1],
-        "truncation_values": floats[2],
-        "terminated": torch.tensor(ended & ~cut),
-        "truncated": torch.tensor(ended & cut),
-    }
-    assert x["terminated"].any()
-    assert x["truncated"].any()
-    result = lambda_returns(**x, discount=0.9, lambda_=lambda_)
-    np.testing.assert_allclose(result, returns_by_hand(x, 0.9, lambda_), rtol=1e-4, atol=1e-5)
 
 
 # One update
