@@ -685,23 +685,12 @@ def test_byol_reads_tiles():
     )
 
 
-@pytest.mark.parametrize(
-    ("experiment", "auxiliary", "kind"),
-    [
-        ("demo", "vision", "impala"),
-        ("demo", "byol", "vmpo"),
-        ("demo", "byol_frame", "impala"),
-        ("demo", "byol_horizon", "impala"),
-        ("playroom_lift_compact", "vision_language", "vmpo"),
-        ("playroom_lift_compact", "language", "impala"),
-        ("playroom_lift_compact", "byol_horizon", "impala"),
-    ],
-)
-def test_runs_train_and_resume(experiment, auxiliary, kind, tmp_path):
+@pytest.mark.parametrize("auxiliary", ["byol_frame", "byol_horizon"])
+def test_runs_train_and_resume(auxiliary, tmp_path):
+    """With the losses that no condition has; `test_train.py` has the others."""
     tiny = [
-        f"experiment={experiment}",
+        "experiment=demo",
         f"auxiliary={auxiliary}",
-        f"agent={kind}",
         "collector.num_envs=4",
         "collector.unroll_length=6",
         "evaluation.episodes=2",
@@ -726,17 +715,7 @@ def test_runs_train_and_resume(experiment, auxiliary, kind, tmp_path):
         assert torch.equal(value, other[name]), name
     metrics = metrics_of(whole.folder)
     told = [name for name in metrics.columns if name.startswith("auxiliary")]
-    assert (
-        told
-        == {
-            "vision": ["auxiliary_vision"],
-            "vision_language": ["auxiliary_vision", "auxiliary_language"],
-            "language": ["auxiliary_language"],
-            "byol": ["auxiliary_byol", "auxiliary_byol_spread"],
-            "byol_frame": ["auxiliary_byol", "auxiliary_byol_spread"],
-            "byol_horizon": ["auxiliary_byol", "auxiliary_byol_spread"],
-        }[auxiliary]
-    )
+    assert told == ["auxiliary_byol", "auxiliary_byol_spread"]
     assert metrics[told].notna().all(axis=None)
 
 
