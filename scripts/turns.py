@@ -28,9 +28,9 @@ Pause = Callable[[int], None]
 """Called every now and then with the number of frames since; returns when the row may go on."""
 
 
-def add_options(parser: argparse.ArgumentParser, rounds: int, seconds: float) -> None:
-    """Adds the options that all these scripts have, with two of their defaults."""
-    parser.add_argument("--rounds", type=int, default=rounds)
+def add_options(parser: argparse.ArgumentParser, seconds: float) -> None:
+    """Adds the options that all these scripts have; `seconds` is the default of one."""
+    parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=seconds, help="of each row in each round")
     parser.add_argument("--match", default="", help="rows whose name has this in it, beside zipf's")
     parser.add_argument("--environments", type=Path, default=ROOT / "build" / "peers")
