@@ -15,13 +15,13 @@ import os
 import statistics
 import time
 import tracemalloc
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 
 import gymnasium as gym
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from turns import OwnRow
 
 import zipf.envs
 from zipf.envs.labyrinth.levels import LEVELS
@@ -37,33 +37,7 @@ LABYRINTH_MEAN, LABYRINTH_EACH, MIXTURE = 15000, 6000, 10000  # steps per second
 UNITY_STEPS_PER_SECOND = 900 / 4  # the paper: about 900 frames/s with a GPU, four an action
 
 
-@dataclass
-class Row:
-    """One thing to measure: `run(calls)` makes that many calls of `frames` frames each."""
-
-    name: str
-    frames: int
-    run: Callable[[int], None]
-    bytes_per_frame: int = 0
-    speeds: list[float] = field(default_factory=list)
-
-    def measure(self, seconds: float) -> None:
-        calls = 1
-        while True:
-            start = time.process_time()
-            self.run(calls)
-            spent = time.process_time() - start
-            if spent >= seconds:
-                self.speeds.append(calls * self.frames / spent)
-                return
-            calls = max(calls * 2, int(1.2 * calls * seconds / max(spent, 1e-6)))
-
-    @property
-    def median(self) -> float:
-        return statistics.median(self.speeds)
-
-
-def batch(name: str, num_envs: int, *, into_out: bool, observation: str = "image") -> Row:
+def batch(name: str, num_envs: int, *, into_out: bool, observation: str = "image") -> OwnRow:
     env = zipf.envs.make_vec(LEVEL, num_envs, observation=observation)
     out = env.allocate() if into_out else None
     actions = np.random.default_rng(0).integers(8, size=(256, num_envs))
@@ -75,10 +49,10 @@ def batch(name: str, num_envs: int, *, into_out: bool, observation: str = "image
             env.step(actions[call % 256], out=out)
 
     size = sum(array.nbytes for array in env.allocate().values()) // num_envs
-    return Row(name, num_envs, run, size)
+    return OwnRow(name, num_envs, run, bytes_per_frame=size)
 
 
-def single() -> Row:
+def single() -> OwnRow:
     env = gym.make("zipf/Gridworld-v0", level="zipf_2")
     actions = np.random.default_rng(0).integers(8, size=1 << 16)
     env.reset(seed=0)
@@ -90,10 +64,10 @@ def single() -> Row:
                 env.reset()
 
     size = sum(array.nbytes for array in env.reset(seed=0)[0].values())
-    return Row("gym.make", 1, run, size)
+    return OwnRow("gym.make", 1, run, bytes_per_frame=size)
 
 
-def memcpy(frames: int, bytes_per_frame: int) -> Row:
+def memcpy(frames: int, bytes_per_frame: int) -> OwnRow:
     source = np.ones((frames, bytes_per_frame), dtype=np.uint8)
     target = np.empty_like(source)
 
@@ -101,7 +75,7 @@ def memcpy(frames: int, bytes_per_frame: int) -> Row:
         for _ in range(calls):
             np.copyto(target, source)
 
-    return Row("memcpy", frames, run)
+    return OwnRow("memcpy", frames, run)
 
 
 def bytes_per_env() -> float:
@@ -124,7 +98,7 @@ def bytes_per_env() -> float:
     return (taken(4096) - taken(64)) / (4096 - 64)
 
 
-def rows() -> Iterator[Row]:
+def rows() -> Iterator[OwnRow]:
     for num_envs in (1, 32, 256, 1024):
         yield batch(f"batch of {num_envs}, out=", num_envs, into_out=True)
     yield batch("batch of 256, fresh arrays", 256, into_out=False)
@@ -201,7 +175,7 @@ class Parts:
 def print_playroom(console: Console, repetitions: int, seconds: float) -> None:
     methods = {"_simulate": "physics", "_start": "beginning", "_observe": "rendering"}
     batches = {level: Parts(level, 64, methods, "logic") for level in PLAYROOM}
-    measured = [Row(level, 64, parts.run) for level, parts in batches.items()]
+    measured = [OwnRow(level, 64, parts.run) for level, parts in batches.items()]
     for _ in range(repetitions):
         for row in measured:
             row.measure(seconds)
@@ -250,7 +224,7 @@ def print_labyrinth(console: Console, repetitions: int, seconds: float) -> None:
     for name, level in LEVELS.items():
         parts = Parts(f"labyrinth/{name}", 64, methods, "physics")
         parts.stagger(level.seconds * 15)
-        row = Row(name, 64, parts.run)
+        row = OwnRow(name, 64, parts.run)
         for _ in range(repetitions):
             row.measure(seconds)
         spent = parts.microseconds()
@@ -269,7 +243,7 @@ def print_labyrinth(console: Console, repetitions: int, seconds: float) -> None:
     table.add_row("the same steps on all levels", f"{together:,.0f}", "", f">= {LABYRINTH_MEAN:,}")
     drawn = Parts("labyrinth/forward_zipf", 64, {}, "all")
     drawn.stagger(120 * 15)
-    row = Row("forward_zipf", 64, drawn.run)
+    row = OwnRow("forward_zipf", 64, drawn.run)
     for _ in range(3 * repetitions):
         row.measure(seconds)
     table.add_row(
@@ -292,7 +266,7 @@ def print_gridworld(console: Console, repetitions: int, seconds: float) -> None:
         LEVEL, 256, {"_advance": "rules", "_begin": "beginning", "_observe": "drawing"}, "rest"
     )
     parts.stagger(256)
-    Row("", 256, parts.run).measure(repetitions * seconds)
+    OwnRow("", 256, parts.run).measure(repetitions * seconds)
 
     table = Table(title=f"{LEVEL}, one core, random actions, resets included", title_justify="left")
     table.add_column("", no_wrap=True)

@@ -240,7 +240,7 @@ def measure(title: str, arguments: argparse.Namespace) -> list[turns.Row]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    turns.add_options(parser, rounds=5, seconds=4.0)
+    turns.add_options(parser, seconds=4.0)
     parser.add_argument("--core", type=int, default=0, help="the core to run on, where possible")
     parser.add_argument("--release", type=release, help="a clone of zipfian_environments")
     parser.add_argument("--row", nargs=2, help=argparse.SUPPRESS)

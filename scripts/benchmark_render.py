@@ -9,17 +9,13 @@ in turn, several times over, and each row's median is shown.
 
 import argparse
 import os
-import statistics
 import tempfile
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from turns import cpu_seconds
+from turns import OwnRow, cpu_seconds
 
 from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textures
 
@@ -27,32 +23,6 @@ ENVS = 256
 CELLS = 21
 GOALS = {"maze": 40_000, "room + 5 objects": 15_000, "hills": 8_000}
 PITCH = np.radians(25.0)
-
-
-@dataclass
-class Row:
-    """One thing to measure: `run(calls)` makes that many calls of `frames` frames each."""
-
-    name: str
-    frames: int
-    run: Callable[[int], None]
-    clock: Callable[[], float] = time.process_time
-    speeds: list[float] = field(default_factory=list)
-
-    def measure(self, seconds: float) -> None:
-        calls = 1
-        while True:
-            start = self.clock()
-            self.run(calls)
-            spent = self.clock() - start
-            if spent >= seconds:
-                self.speeds.append(calls * self.frames / spent)
-                return
-            calls = max(calls * 2, int(1.2 * calls * seconds / max(spent, 1e-6)))
-
-    @property
-    def median(self) -> float:
-        return statistics.median(self.speeds)
 
 
 def carve(rng: np.random.Generator) -> np.ndarray:
@@ -195,7 +165,7 @@ def hills(*, pitched: bool, seed: int = 0) -> Scenes:
     return scenes
 
 
-def row(name: str, scenes: Scenes, size: tuple[int, int] = (96, 72)) -> Row:
+def row(name: str, scenes: Scenes, size: tuple[int, int] = (96, 72)) -> OwnRow:
     width, height = size
     renderer = Renderer(load_meshes(), textures.stack(), width=width, height=height)
     out = np.zeros((ENVS, height, width, 3), np.uint8)
@@ -204,10 +174,10 @@ def row(name: str, scenes: Scenes, size: tuple[int, int] = (96, 72)) -> Row:
         for _ in range(calls):
             renderer.render(scenes, out)
 
-    return Row(name, ENVS, run)
+    return OwnRow(name, ENVS, run)
 
 
-def doom(vizdoom: Any, scenario: str) -> Row:
+def doom(vizdoom: Any, scenario: str) -> OwnRow:
     game = vizdoom.DoomGame()
     game.load_config(os.path.join(vizdoom.scenarios_path, f"{scenario}.cfg"))
     game.set_screen_resolution(vizdoom.ScreenResolution.RES_160X120)
@@ -226,7 +196,7 @@ def doom(vizdoom: Any, scenario: str) -> Row:
             game.make_action(actions[call % 256], 1)
             game.get_state()
 
-    return Row(f"ViZDoom {scenario} 160 x 120", 1, run, cpu_seconds)
+    return OwnRow(f"ViZDoom {scenario} 160 x 120", 1, run, cpu_seconds)
 
 
 def main() -> None:

@@ -291,7 +291,7 @@ def python_of(name: str, folder: Path) -> Path:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    turns.add_options(parser, rounds=5, seconds=10.0)
+    turns.add_options(parser, seconds=10.0)
     parser.add_argument("--experiments", nargs="+", default=EXPERIMENTS, metavar="EXPERIMENT")
     parser.add_argument("--train", nargs=3, help=argparse.SUPPRESS)
     arguments = parser.parse_args()

@@ -12,15 +12,12 @@ are chosen outside of them. An equal batch takes the same steps before, so that 
 
 Threads hold the GIL in turns. However many there are, together they step at most 1 / (seconds per
 frame that hold it) frames a second: the ceiling. A step has costs of its own, so the ceiling falls
-with `--envs`, the environments of a thread. The last lines compare two threads, with a batch each,
-to one thread with one of them, for the first two rows.
+with `--envs`, the environments of a thread. benchmark_threads.py measures threads.
 """
 
 from __future__ import annotations
 
 import argparse
-import statistics
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -44,7 +41,6 @@ PLAYROOM = (
 )
 STEPS = {"playroom": 500, "labyrinth": 450}  # five episodes and one, at their time limit
 CALLS = 2000  # of a function that does nothing
-ROUNDS, SECONDS = 5, 2.0  # of two threads and of one, in turn
 
 PLAIN = Dispatcher.__call__
 
@@ -147,34 +143,6 @@ def measured(level: str, num_envs: int, policy: str) -> tuple[float, float]:
     return whole / frames, (whole - released) / frames
 
 
-def of_threads(level: str, num_envs: int, policy: str) -> float:
-    """How many times as many frames two threads step as one, with a batch each."""
-    batches = [Batch(level, num_envs, policy) for _ in range(2)]
-    ratios = []
-    for _ in range(ROUNDS):
-        one = sum(steps_of(batches[:1]))
-        ratios.append(sum(steps_of(batches)) / one)
-    return statistics.median(ratios)
-
-
-def steps_of(batches: list[Batch]) -> list[int]:
-    """Steps that each batch makes within `SECONDS` in a thread of its own."""
-    steps = [0] * len(batches)
-    end = time.perf_counter() + SECONDS
-
-    def run(k: int) -> None:
-        while time.perf_counter() < end:
-            batches[k].step()
-            steps[k] += 1
-
-    threads = [threading.Thread(target=run, args=(k,)) for k in range(len(batches))]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    return steps
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     labyrinth = loading.load(["experiment=labyrinth_compact"]).split.levels("train")
@@ -184,20 +152,13 @@ def main() -> None:
     given = parser.parse_args()
     heading = ("level", "policy", "frames/s of a core", "GIL, us a frame", "share", "ceiling")
     print(*markdown(heading, [], heading[2:]), sep="\n")
-    shares = {}
     for level in given.levels:
         for policy in ("random", "expert") if level.startswith("playroom") else ("random",):
             whole, gil = measured(level, given.envs, policy)
-            shares[level, policy] = share = gil / whole
-            numbers = f"{1 / whole:,.0f}", f"{gil * 1e6:.1f}", f"{share:.0%}", f"{1 / gil:,.0f}"
+            numbers = (
+                f"{1 / whole:,.0f}", f"{gil * 1e6:.1f}", f"{gil / whole:.0%}", f"{1 / gil:,.0f}"
+            )  # fmt: skip
             print("|", " | ".join((code(level), policy, *numbers)), "|", flush=True)
-    for level, policy in list(shares)[:2]:
-        ratio = of_threads(level, given.envs, policy)
-        most = min(2, 1 / shares[level, policy])
-        print(
-            f"\n{level}, {policy}: two threads make {ratio:.2f} times as many frames as one", end=""
-        )
-        print(f"; {most:.2f} by the share", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""Rows of a benchmark that are processes which work in turn, each with a library's own interpreter.
+"""Rows of a benchmark that work in turn: calls of this process, or processes of their own.
 
-A script that uses this starts itself once for every row, with an option that names the row; that
-process calls `serve`. What is imported here comes with Python, since such a process may have an
-interpreter without zipf.
+A script with processes, each with a library's own interpreter, starts itself once for every row,
+with an option that names the row; that process calls `serve`. What is imported here comes with
+Python, since such a process may have an interpreter without zipf.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,9 @@ Pause = Callable[[int], None]
 """Called every now and then with the number of frames since; returns when the row may go on."""
 
 
-def add_options(parser: argparse.ArgumentParser, rounds: int, seconds: float) -> None:
-    """Adds the options that all these scripts have, with two of their defaults."""
-    parser.add_argument("--rounds", type=int, default=rounds)
+def add_options(parser: argparse.ArgumentParser, seconds: float) -> None:
+    """Adds the options that all these scripts have; `seconds` is the default of one."""
+    parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=seconds, help="of each row in each round")
     parser.add_argument("--match", default="", help="rows whose name has this in it, beside zipf's")
     parser.add_argument("--environments", type=Path, default=ROOT / "build" / "peers")
@@ -57,6 +58,34 @@ def python_of(name: str, packages: Sequence[str | Path], folder: Path) -> Path:
             python.unlink()  # is made anew the next time
             raise
     return python
+
+
+@dataclass
+class OwnRow:
+    """A row of this process: `run(calls)` makes that many calls of `frames` frames each."""
+
+    name: str
+    frames: int
+    run: Callable[[int], None]
+    clock: Callable[[], float] = time.process_time
+    bytes_per_frame: int = 0
+    speeds: list[float] = field(default_factory=list)
+
+    def measure(self, seconds: float) -> None:
+        """Adds the speed of as many calls as take so many seconds of the clock."""
+        calls = 1
+        while True:
+            start = self.clock()
+            self.run(calls)
+            spent = self.clock() - start
+            if spent >= seconds:
+                self.speeds.append(calls * self.frames / spent)
+                return
+            calls = max(calls * 2, int(1.2 * calls * seconds / max(spent, 1e-6)))
+
+    @property
+    def median(self) -> float:
+        return statistics.median(self.speeds)
 
 
 class Row:

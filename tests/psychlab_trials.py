@@ -62,7 +62,7 @@ def answer(episode: Any, right: bool) -> None:
     if isinstance(episode, SequentialComparison):
         episode.looked_at(0)
         episode.looked_away(0)
-        episode.went_off(0)
+        episode.went_off()
     give(episode, episode.right if right else episode.right - 1)
 
 
@@ -71,4 +71,4 @@ def give(episode: Any, button: int) -> None:
     episode.looked_at(button % len(episode.buttons))
     episode.looked_away(button % len(episode.buttons))
     if episode.done < episode.trials:
-        episode.went_off(0)
+        episode.went_off()

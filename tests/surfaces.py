@@ -1,5 +1,8 @@
 """Checks of meshes that hold for every atlas."""
 
+from collections.abc import Sequence
+from itertools import combinations
+
 import numpy as np
 
 from zipf.envs.render3d import MeshAtlas
@@ -74,3 +77,54 @@ def assert_no_shared_plane(vertices: np.ndarray, triangles: np.ndarray, parts: n
         axes = np.delete(np.arange(3), np.abs(normals[i]).argmax())
         shared = inside((weights @ corners[j])[:, axes], corners[i][None, :, axes], 1e-8)
         assert not shared.any(), (corners[i], corners[j])
+
+
+def outlines(
+    atlas: MeshAtlas, name: str, yaws: np.ndarray, *, above: float, pixels: int
+) -> np.ndarray:
+    """The outlines of a mesh from so many degrees above, by yaw: bool [yaws, pixels, pixels]."""
+    vertices, triangles, _ = mesh_of(atlas, name)
+    axis = ((np.arange(pixels) + 0.5) / pixels - 0.5) * 1.25 * atlas.extent[atlas.index(name)].max()
+    points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    tilt = np.radians(above)
+    views = []
+    for yaw in yaws:
+        c, s = np.cos(yaw), np.sin(yaw)
+        right = vertices[:, 0] * c - vertices[:, 1] * s
+        away = vertices[:, 0] * s + vertices[:, 1] * c
+        up = vertices[:, 2] * np.cos(tilt) + away * np.sin(tilt)
+        flat = np.stack([right, up], axis=1)
+        flat -= (flat.min(axis=0) + flat.max(axis=0)) / 2
+        views.append(inside(points, flat[triangles]).any(axis=0).reshape(pixels, pixels))
+    return np.array(views)
+
+
+def assert_outlines_differ(
+    atlas: MeshAtlas, names: Sequence[str], *, step: int, above: float, pixels: int
+) -> None:
+    """From most sides, the outline of a mesh differs from all outlines of the others, even at the
+    same size.
+
+    The difference of two outlines is one minus the ratio of their intersection to their union. Two
+    meshes differ by the median, over the yaws of one, which are `step` degrees apart, of the least
+    difference over those of the other.
+    """
+    yaws = np.radians(np.arange(0, 360, step) + 10)
+    views = {name: outlines(atlas, name, yaws, above=above, pixels=pixels) for name in names}
+    for one, other in combinations(names, 2):
+        a, b = views[one][:, None], views[other][None]
+        difference = 1 - (a & b).sum(axis=(2, 3)) / (a | b).sum(axis=(2, 3))
+        told = max(np.median(difference.min(axis=1)), np.median(difference.min(axis=0)))
+        assert told > 0.15, (one, other, told)
+
+
+def assert_is(atlas: MeshAtlas, packed: dict[str, np.ndarray]) -> None:
+    """An atlas has the arrays of what was built anew."""
+    fresh = MeshAtlas(tuple(packed.pop("names").tolist()), **packed)
+    assert fresh.names == atlas.names
+    for field in ("triangles", "parts", "first_vertex", "first_triangle"):
+        np.testing.assert_array_equal(getattr(fresh, field), getattr(atlas, field), err_msg=field)
+    for field in ("vertices", "extent"):
+        np.testing.assert_allclose(
+            getattr(fresh, field), getattr(atlas, field), atol=2e-5, err_msg=field
+        )

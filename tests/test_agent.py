@@ -148,6 +148,21 @@ def test_a_gradient_that_is_not_finite_changes_no_weights(name, value):
     assert equal(weights(made.network), before)
 
 
+@pytest.mark.parametrize("name", ["impala", "ppo", "vmpo"])
+def test_actions_follow_the_policy(name):
+    made, n = build(name), 4000
+    generator = torch.Generator().manual_seed(0)
+    image = torch.full((n, 9, 9, 3), 200, dtype=torch.uint8)
+    first = torch.ones(n, dtype=torch.bool)
+    inputs = Inputs({"image": image}, torch.full((n,), -1), torch.zeros(n), first)
+    action, _, behaviour = made.act(inputs, made.initial_memory(n), generator)
+    probabilities = behaviour["logits"][0].softmax(-1).numpy()
+    assert probabilities.max() - probabilities.min() > 0.01
+    frequencies = np.bincount(action.numpy(), minlength=ACTIONS) / n
+    sigma = np.sqrt(probabilities * (1 - probabilities) / n)
+    assert (abs(frequencies - probabilities) < 4 * sigma).all()
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_without_separate_acting_an_update_changes_what_acts(name):
     made = build(name)

@@ -379,11 +379,10 @@ def shipped(name):
     return loading.load(["experiment=demo", f"agent={name}"]).agent
 
 
-@pytest.mark.parametrize("critic", [SCALAR, *DISTRIBUTIONS], ids=named)
+@pytest.mark.parametrize("critic", DISTRIBUTIONS, ids=named)
 @pytest.mark.parametrize("name", NAMES)
 def test_agents_continue_bit_for_bit(name, critic):
-    if critic is not SCALAR:
-        critic = with_risk(critic, "averse")
+    critic = with_risk(critic, "averse")
     one, other = (build(name, shipped(name), critic) for _ in range(2))
     if name == "r2d2":
         data = list(unrolls(6))

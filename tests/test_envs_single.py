@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.vector import AutoresetMode
 
 from zipf.envs import SingleEnv, make
 from zipf.envs.gridworld.gridworld_env import GridworldEnv
@@ -153,9 +153,15 @@ def test_actions_of_another_shape_are_explained(actions: Any, message: str) -> N
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_a_batch_reports_what_gymnasiums_own_vector_env_reports(mode: AutoresetMode) -> None:
     """Where Gymnasium has an object array of dicts, `final_obs` is a dict of arrays here."""
-    make_one = partial(GridworldEnv, "uniform", observation="tiles", **SMALL)
-    other = SyncVectorEnv([make_one] * 4, autoreset_mode=mode)
-    env = GridworldVectorEnv(4, "uniform", observation="tiles", autoreset_mode=mode, **SMALL)
+    options = {"level": "uniform", "observation": "tiles", **SMALL}
+    other = gym.make_vec(
+        "zipf/Gridworld-v0",
+        4,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": mode},
+        **options,
+    )
+    env = GridworldVectorEnv(4, autoreset_mode=mode, **options)
     assert env.metadata["autoreset_mode"] == other.metadata["autoreset_mode"]
     rng = np.random.default_rng(0)
     compare(env.reset(seed=7), other.reset(seed=7))

@@ -10,6 +10,7 @@ import torch
 from conftest import assert_equal, random_unroll
 from networks import compact
 from noise import SPACES, Noise
+from test_imitation import OPTIONS as IMITATION
 from test_recall import IMPALA
 
 from zipf import envs
@@ -56,20 +57,7 @@ BOTH = [DICTIONARY, MEM]
 
 
 def agent(episodic, name="impala", seed=0):
-    options = {
-        "impala": IMPALA,
-        "imitation": agents()["imitation"].Options(
-            name="imitation",
-            teacher="expert",
-            teacher_share=0.0,
-            likeliest=True,
-            learning_rate=1e-3,
-            adam_beta1=0.9,
-            adam_beta2=0.999,
-            adam_epsilon=1e-8,
-            max_gradient_norm=1.0,
-        ),
-    }
+    options = {"impala": IMPALA, "imitation": IMITATION}
     spec = AgentSpec(
         SPACE,
         gym.spaces.Discrete(ACTIONS),

@@ -61,14 +61,6 @@ def test_the_id_brings_its_module() -> None:
     assert result.stdout.strip() == "True"
 
 
-def test_importing_the_environments_does_not_import_torch() -> None:
-    program = "import sys, zipf.envs; print(sorted({'torch', 'hydra', 'numba'} & set(sys.modules)))"
-    result = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert result.stdout.strip() == "[]"
-
-
 def test_envs_on_numpy_arrays_are_made_and_checked_without_torch() -> None:
     program = (
         "import sys, zipf.envs.testing; from zipf import envs;"
@@ -295,58 +287,6 @@ def test_windows_are_closed_with_the_last(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 # Other people's wrappers.
-
-
-def test_episode_statistics_of_gymnasium() -> None:
-    from gymnasium.wrappers.vector import RecordEpisodeStatistics
-
-    env = RecordEpisodeStatistics(gym.make_vec(ID, num_envs=8, level="uniform"), buffer_length=9999)
-    env.reset(seed=0)
-    rng = np.random.default_rng(0)
-    returns, lengths = [], []
-    for _ in range(300):
-        *_, info = env.step(rng.integers(8, size=8))
-        if "_final_info" in info:
-            mask = info["_final_info"]
-            returns += info["final_info"]["return"][mask].tolist()
-            lengths += info["final_info"]["length"][mask].tolist()
-    assert len(lengths) > 50
-    assert list(env.return_queue) == returns
-    assert list(env.length_queue) == lengths
-
-
-def test_gymnasium_wrappers_of_observations() -> None:
-    from gymnasium.wrappers.vector import FlattenObservation
-
-    # Gymnasium's observation wrappers refuse SAME_STEP.
-    batch = gym.make_vec(
-        ID, 4, level="uniform", observation="tiles", autoreset_mode=AutoresetMode.DISABLED
-    )
-    env = FlattenObservation(batch)
-    observation, _ = env.reset(seed=0)
-    assert observation.shape == (4, 50)
-    rng = np.random.default_rng(0)
-    for _ in range(100):
-        observation, _, terminated, truncated, _ = env.step(rng.integers(8, size=4))
-        assert observation in env.observation_space
-        if (done := terminated | truncated).any():
-            env.reset(options={"reset_mask": done})
-
-
-def test_gymnasium_batches_single_worlds_alike() -> None:
-    vector_kwargs = {"autoreset_mode": AutoresetMode.SAME_STEP}
-    slow = gym.make_vec(
-        ID, 4, vectorization_mode="sync", vector_kwargs=vector_kwargs, level="uniform"
-    )
-    fast = gym.make_vec(ID, 4, level="uniform")
-    rng = np.random.default_rng(0)
-    given, expected = fast.reset(seed=3)[0], slow.reset(seed=3)[0]
-    for _ in range(200):
-        np.testing.assert_array_equal(given["image"], expected["image"])
-        actions = rng.integers(8, size=4)
-        given, *ends, _ = fast.step(actions)
-        expected, *expected_ends, _ = slow.step(actions)
-        np.testing.assert_array_equal(ends, expected_ends)
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.DISABLED])

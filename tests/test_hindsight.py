@@ -659,7 +659,6 @@ def test_a_loss_or_a_matcher_that_could_not_learn_is_one_clear_line():
 
 R2D2 = ["agent.burn_in=2", "agent.replay_min=6", "agent.replay_capacity=24", "agent.storage=ram"]
 RUNS = {
-    "impala": ["experiment=demo", "collector.lag=1"],
     "impala, kept": ["experiment=demo", "collector.lag=1", "hindsight.kept_per_goal=2"],
     "vmpo": ["experiment=demo", "agent=vmpo"],
     "imitation": [
@@ -670,10 +669,6 @@ RUNS = {
     "supervised": [
         *("experiment=playroom_find_compact", "condition=supervised_hindsight_augmented"),
         *("environment.image_size=[36,48]", "memory=mlp", "exploration=none", "hindsight.fade=5"),
-    ],
-    "supervised, matching": [
-        *("experiment=playroom_find_compact", "condition=supervised_matching", "network=matching"),
-        *("environment.image_size=[36,48]", "memory=mlp", "exploration=none"),
     ],
 }
 

@@ -7,11 +7,12 @@ import tiny_gridworld
 import torch
 from conftest import random_unroll
 from networks import compact
+from test_hindsight import OPTIONS as HINDSIGHT
 from test_hindsight import episodes_of
 
 from zipf import envs
 from zipf.agents.agent import AgentSpec
-from zipf.agents.hindsight import NO_HINDSIGHT, AchievedOptions
+from zipf.agents.hindsight import NO_HINDSIGHT
 from zipf.agents.imitation import Imitation, ImitationOptions
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
@@ -35,16 +36,8 @@ OPTIONS = ImitationOptions(
 )
 
 
-RELABELLING = AchievedOptions(
-    name="achieved",
-    episodes=3,
-    length=None,
-    kept_per_goal=None,
-    reward=1.0,
-    advantage="none",
-    policy_cost=0.5,
-    value_cost=0.0,
-    fade=10,
+RELABELLING = HINDSIGHT.model_copy(
+    update={"episodes": 3, "advantage": "none", "policy_cost": 0.5, "value_cost": 0.0, "fade": 10}
 )
 
 

@@ -1,19 +1,23 @@
 """The meshes of Zipf's Labyrinth: their names, sizes, colours and file."""
 
-import importlib
 import math
-from itertools import combinations
 from pathlib import Path
 
+import build_meshes
 import numpy as np
 import pytest
 from conftest import naming
-from surfaces import assert_closed_and_outward, assert_no_shared_plane, inside, mesh_of
+from surfaces import (
+    assert_closed_and_outward,
+    assert_is,
+    assert_no_shared_plane,
+    assert_outlines_differ,
+    mesh_of,
+)
 
 import zipf.envs
-from zipf.envs.render3d import MeshAtlas, Renderer, Scenes, load_meshes, textures
+from zipf.envs.render3d import Renderer, Scenes, load_meshes, textures
 
-SCRIPTS = Path(__file__).parent.parent / "scripts"
 FILE = Path(zipf.envs.__file__).parent / "labyrinth" / "meshes.npz"
 ATLAS = load_meshes(FILE)
 
@@ -129,34 +133,10 @@ def test_both_colours_are_visible_from_every_side(shares):
             assert min(main.min(), accent.min()) > 0.1
 
 
-def outlines(name: str, yaws: np.ndarray) -> np.ndarray:
-    """The outlines of a mesh from 15 degrees above, by yaw: bool [yaws, 24, 24]."""
-    vertices, triangles, _ = mesh_of(ATLAS, name)
-    axis = ((np.arange(24) + 0.5) / 24 - 0.5) * 1.2 * ATLAS.extent[ATLAS.index(name)].max()
-    pixels = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    views = []
-    for yaw in yaws:
-        right = vertices[:, 0] * np.cos(yaw) - vertices[:, 1] * np.sin(yaw)
-        away = vertices[:, 0] * np.sin(yaw) + vertices[:, 1] * np.cos(yaw)
-        up = vertices[:, 2] * math.cos(math.radians(15)) + away * math.sin(math.radians(15))
-        flat = np.stack([right, up], axis=1)
-        flat -= (flat.min(axis=0) + flat.max(axis=0)) / 2
-        views.append(inside(pixels, flat[triangles]).any(axis=0).reshape(24, 24))
-    return np.array(views)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("names", [list(SHAPES), [f"{form}_0" for form in FORMS]])
 def test_no_two_outlines_are_alike(names):
-    """Even at the same size. As for the toys: one minus the ratio of the outlines' intersection to
-    their union, for the most similar yaws of one and the median yaw of the other."""
-    yaws = np.radians(np.arange(0, 360, 45) + 10)
-    views = {name: outlines(name, yaws) for name in names}
-    for one, other in combinations(names, 2):
-        a, b = views[one][:, None], views[other][None]
-        difference = 1 - (a & b).sum(axis=(2, 3)) / (a | b).sum(axis=(2, 3))
-        told = max(np.median(difference.min(axis=1)), np.median(difference.min(axis=0)))
-        assert told > 0.15, (one, other, told)
+    assert_outlines_differ(ATLAS, names, step=45, above=15, pixels=24)
 
 
 def test_the_patterns_of_a_form_have_one_shape_and_differ_in_their_colours():
@@ -174,15 +154,5 @@ def test_the_patterns_of_a_form_have_one_shape_and_differ_in_their_colours():
 
 
 @pytest.mark.slow
-def test_the_file_is_what_the_command_builds(monkeypatch):
-    monkeypatch.syspath_prepend(SCRIPTS)
-    command = importlib.import_module("build_meshes")
-    built = command.pack(command.ATLASES[FILE]())
-    fresh = MeshAtlas(tuple(built.pop("names").tolist()), **built)
-    assert fresh.names == ATLAS.names
-    for field in ("triangles", "parts", "first_vertex", "first_triangle"):
-        np.testing.assert_array_equal(getattr(fresh, field), getattr(ATLAS, field), err_msg=field)
-    for field in ("vertices", "extent"):
-        np.testing.assert_allclose(
-            getattr(fresh, field), getattr(ATLAS, field), atol=2e-5, err_msg=field
-        )
+def test_the_file_is_what_the_command_builds():
+    assert_is(ATLAS, build_meshes.pack(build_meshes.ATLASES[FILE]()))

@@ -116,7 +116,7 @@ def test_the_last_trial_ends_the_episode(level: str) -> None:
         assert env.envs.ending[0] < 0
         answer(episode, right=True)
     assert episode.done == trials
-    env.envs.timers[:] = -1  # those that no frame has seen
+    env.envs.timer[:] = -1  # what no frame has seen
     for frame in range(13):  # that of the answer, which was given between frames here, and 12
         _, _, terminated, truncated, _ = env.step(np.array([14]))
         assert (bool(terminated[0]), bool(truncated[0])) == (frame == 12, False)
@@ -172,7 +172,7 @@ def test_a_pair_tells_its_response_at_first_only() -> None:
             bright = (100, 255, 100) if button == episode.right else (255, 100, 100)
             assert colour(env, place) == bright
         episode.looked_away(episode.right if len(seen) < 4 else episode.right - 1)
-        episode.went_off(0)
+        episode.went_off()
     assert len(seen) > 3
 
 
@@ -261,7 +261,7 @@ def trials_of(level: str, count: int, right: float = 0.9) -> Any:
             if level == COMPARISON:
                 episode.looked_at(0)
                 episode.looked_away(0)
-                episode.went_off(0)
+                episode.went_off()
             give(episode, episode.right if rng.random() < right else 1 - episode.right)
 
 

@@ -1,19 +1,26 @@
 """The meshes of the playroom: their conventions, their differences and their file."""
 
-import importlib
 import math
-from itertools import combinations, pairwise
+from itertools import pairwise
 from pathlib import Path
 
+import build_meshes
 import numpy as np
 import pytest
 from conftest import naming
-from surfaces import assert_closed_and_outward, assert_no_shared_plane, inside, mesh_of
+from surfaces import (
+    assert_closed_and_outward,
+    assert_is,
+    assert_no_shared_plane,
+    assert_outlines_differ,
+    inside,
+    mesh_of,
+)
 
 from zipf.envs.playroom.constants import EYE, FURNITURE_SIZE
 from zipf.envs.playroom.levels import OBJECTS, SUPPORTS
 from zipf.envs.playroom.view import FIELD_OF_VIEW
-from zipf.envs.render3d import MeshAtlas, load_meshes
+from zipf.envs.render3d import load_meshes
 
 ROOT = Path(__file__).parent.parent
 FILE = ROOT / "zipf" / "envs" / "render3d" / "meshes.npz"
@@ -123,52 +130,12 @@ def test_the_tops_of_bed_and_tray_are_level():
     assert (top[:, 0] < -0.55).all()  # the headboard
 
 
-def silhouettes(name: str, yaws: np.ndarray) -> np.ndarray:
-    """The outlines of a toy from 30 degrees above, by yaw: bool [yaws, 32, 32]."""
-    vertices, triangles, _ = mesh(name)
-    axis = ((np.arange(32) + 0.5) / 32 - 0.5) * 1.25 * ATLAS.extent[ATLAS.index(name)].max()
-    pixels = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    views = []
-    for yaw in yaws:
-        c, s = np.cos(yaw), np.sin(yaw)
-        right = vertices[:, 0] * c - vertices[:, 1] * s
-        away = vertices[:, 0] * s + vertices[:, 1] * c
-        up = vertices[:, 2] * np.cos(np.pi / 6) + away * np.sin(np.pi / 6)
-        flat = np.stack([right, up], axis=1)
-        flat -= (flat.min(axis=0) + flat.max(axis=0)) / 2
-        views.append(inside(pixels, flat[triangles]).any(axis=0).reshape(32, 32))
-    return np.array(views)
-
-
 @pytest.mark.slow
 def test_no_two_toys_are_alike():
-    """From most sides, the outline of a toy differs from all outlines of the other toys.
-
-    The difference of two outlines is one minus the ratio of their intersection to their union. Two
-    toys differ by the median, over the yaws of one, of the least difference over those of the
-    other.
-    """
-    yaws = np.radians(np.arange(0, 360, 30) + 10)
-    views = {name: silhouettes(name, yaws) for name in OBJECTS}
-    for one, other in combinations(OBJECTS, 2):
-        a, b = views[one][:, None], views[other][None]
-        difference = 1 - (a & b).sum(axis=(2, 3)) / (a | b).sum(axis=(2, 3))
-        told = max(np.median(difference.min(axis=1)), np.median(difference.min(axis=0)))
-        assert told > 0.15, (one, other, told)
+    assert_outlines_differ(ATLAS, OBJECTS, step=30, above=30, pixels=32)
 
 
 @pytest.mark.slow
-def test_the_file_is_what_the_command_builds(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "scripts")
-    command = importlib.import_module("build_meshes")
-    built = command.pack(command.build())
-    names = tuple(built.pop("names").tolist())
-    fresh = MeshAtlas(names, **built)
-    assert fresh.names == ATLAS.names
-    for field in ("triangles", "parts", "first_vertex", "first_triangle"):
-        np.testing.assert_array_equal(getattr(fresh, field), getattr(ATLAS, field), err_msg=field)
-    for field in ("vertices", "extent"):
-        np.testing.assert_allclose(
-            getattr(fresh, field), getattr(ATLAS, field), atol=2e-5, err_msg=field
-        )
+def test_the_file_is_what_the_command_builds():
+    assert_is(ATLAS, build_meshes.pack(build_meshes.build()))
     assert FILE.stat().st_size < 5e6

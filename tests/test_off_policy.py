@@ -6,10 +6,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from test_impala import OPTIONS as IMPALA
 
 from zipf.agents import impala
 from zipf.agents.agent import AgentSpec
-from zipf.agents.impala import Impala, ImpalaOptions
+from zipf.agents.impala import Impala
 from zipf.agents.memory import MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.network_options import CompactOptions
@@ -137,20 +138,8 @@ class Bandit(ZipfVectorEnv):
     def _set_env_states(self, state): ...
 
 
-OPTIONS = ImpalaOptions(
-    name="impala",
-    learning_rate=0.02,
-    adam_beta1=0.9,
-    adam_beta2=0.999,
-    adam_epsilon=1e-8,
-    max_gradient_norm=1e9,
-    discount=1.0,
-    baseline_cost=0.5,
-    entropy_cost=0.01,
-    clip_rho=1.0,
-    clip_pg_rho=1.0,
-    clip_c=1.0,
-    trace_lambda=1.0,
+OPTIONS = IMPALA.model_copy(
+    update={"learning_rate": 0.02, "discount": 1.0, "baseline_cost": 0.5, "entropy_cost": 0.01}
 )
 NETWORK = CompactOptions(
     name="compact",

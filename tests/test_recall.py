@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from networks import compact
 from recall import CUES, Recall
+from test_impala import OPTIONS
 
 from zipf.agents.agent import AgentSpec
 from zipf.agents.gtrxl import GTrXLOptions
-from zipf.agents.impala import Impala, ImpalaOptions
+from zipf.agents.impala import Impala
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import play
@@ -16,20 +17,14 @@ from zipf.experiments.training.host_collector import HostCollector
 pytestmark = pytest.mark.slow
 
 DELAY = 10
-IMPALA = ImpalaOptions(
-    name="impala",
-    learning_rate=5e-3,
-    adam_beta1=0.9,
-    adam_beta2=0.999,
-    adam_epsilon=1e-8,
-    max_gradient_norm=1.0,
-    discount=0.95,
-    baseline_cost=0.5,
-    entropy_cost=0.01,
-    clip_rho=1.0,
-    clip_pg_rho=1.0,
-    clip_c=1.0,
-    trace_lambda=1.0,
+IMPALA = OPTIONS.model_copy(
+    update={
+        "learning_rate": 5e-3,
+        "max_gradient_norm": 1.0,
+        "discount": 0.95,
+        "baseline_cost": 0.5,
+        "entropy_cost": 0.01,
+    }
 )
 NETWORK = compact(channels=16, size=16)
 

@@ -134,15 +134,6 @@ def test_new_items_have_the_largest_priority_so_far(exponent):
     np.testing.assert_allclose(sampler.tree.leaves, np.array([3.0, 0.75, 0.5]) ** exponent)
 
 
-def test_priorities_of_another_version_are_refused():
-    """They were one for each slot."""
-    state = sampler_with([3.0, 0.5, 0.5], 1.0).state_dict()
-    sampler = PrioritySampler(4, 2, priority_exponent=1.0, importance_exponent=0.6, seed=0)
-    with pytest.raises(OSError, match="has 3 priorities, not 2: it is of another version of zipf"):
-        sampler.load_state_dict(state)
-    assert len(sampler) == 0
-
-
 def test_draws_do_not_depend_on_the_size_of_the_ring():
     """It has room for what is inserted between two checkpoints, which changes nothing else."""
     drawn = {}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from zipf.agents.returns import bootstrapped_returns, vtrace
+from zipf.agents.returns import lambda_returns, vtrace
 
 DISCOUNT = 0.9
 
@@ -115,30 +115,42 @@ def test_returns_do_not_depend_on_later_episodes():
         assert not torch.equal(before.targets[until:], after.targets[until:])
 
 
-def summed_rewards(x, discount):
-    """G_s = sum_t gamma^(t-s) r_t and the value where the sum stops, forward for every s."""
+def returns_by_hand(x, discount, lambda_):
+    """The average of n-step returns with weights (1 - lambda) lambda^(n-1), the longest with what
+    is left (Sutton and Barto 2018, equation 12.3), for every step on its own."""
     x = {name: tensor.double().numpy() for name, tensor in x.items()}
     steps, batch = x["rewards"].shape
     returns = np.zeros((steps, batch))
     for b in range(batch):
-        for s in range(steps):
-            following = x["values"][steps, b]
-            for t in range(s, steps):
-                returns[s, b] += discount ** (t - s) * x["rewards"][t, b]
-                if x["terminated"][t, b] or x["truncated"][t, b]:
-                    following = x["truncation_values"][t, b] if x["truncated"][t, b] else 0.0
+        for t in range(steps):
+            rewards, weight = 0.0, 1.0
+            for n in range(1, steps - t + 1):
+                last = t + n - 1
+                rewards += discount ** (n - 1) * x["rewards"][last, b]
+                value = x["values"][last, b]
+                if x["terminated"][last, b]:
+                    value = 0.0
+                if x["truncated"][last, b]:
+                    value = x["truncation_values"][last, b]
+                is_longest = (
+                    last == steps - 1 or x["terminated"][last, b] or x["truncated"][last, b]
+                )
+                share = weight if is_longest else weight * (1 - lambda_)
+                returns[t, b] += share * (rewards + discount**n * value)
+                weight *= lambda_
+                if is_longest:
                     break
-            returns[s, b] += discount ** (t + 1 - s) * following
     return returns
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_bootstrapped_returns_equal_the_definition(seed):
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("lambda_", [0.0, 0.3, 0.95, 1.0])
+def test_lambda_returns_are_averages_of_n_step_returns(seed, lambda_):
     x = case(seed)
     assert x["terminated"].any()
     assert x["truncated"].any()
-    expected = summed_rewards(x, DISCOUNT)
     del x["log_ratios"]
-    x["final_value"] = x.pop("values")[-1]
-    result = bootstrapped_returns(**x, discount=DISCOUNT)
-    np.testing.assert_allclose(result, expected, rtol=1e-4, atol=1e-4)
+    x["values"] = x["values"][1:]
+    result = lambda_returns(**x, discount=DISCOUNT, lambda_=lambda_)
+    expected = returns_by_hand(x, DISCOUNT, lambda_)
+    np.testing.assert_allclose(result, expected, rtol=1e-4, atol=1e-5)

@@ -14,9 +14,7 @@ from zipf.agents.agent import AgentSpec
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.vmpo import SMALLEST_DUAL, VMPO, VMPOOptions, is_top, vmpo_losses
-from zipf.experiments.building import checkpoint, loading, run_folder
 from zipf.experiments.options import config_files
-from zipf.experiments.training.runner import Run
 
 ACTIONS, STEPS, BATCH = 3, 5, 5
 OPTIONS = VMPOOptions(
@@ -331,14 +329,6 @@ def test_actions_better_than_expected_become_likelier_and_the_value_follows():
     assert value == pytest.approx(1 / 3, abs=0.15)
 
 
-def test_gradients_are_clipped():
-    vmpo = agent(max_gradient_norm=1e-3)
-    metrics = vmpo.update(unroll())
-    norms = [p.grad.norm() for p in vmpo.network.parameters()]
-    assert metrics["gradient_norm"] > 1e-3
-    assert torch.stack(norms).norm().item() == pytest.approx(1e-3, rel=1e-3)
-
-
 @pytest.mark.parametrize("name", ["reward", "truncation_value", "logits"])
 def test_divergence_changes_no_weights(name):
     vmpo, data = agent(), unroll()
@@ -358,24 +348,6 @@ def test_values_that_are_no_numbers_are_divergence():
     with pytest.raises(FloatingPointError):
         vmpo.update(unroll())
     assert_equal(dict(vmpo.network.policy.state_dict()), dict(before))
-
-
-def test_actions_follow_the_policy():
-    vmpo = agent()
-    n = 4000
-    inputs = Inputs(
-        {"image": torch.full((n, 9, 9, 3), 200, dtype=torch.uint8)},
-        torch.full((n,), -1),
-        torch.zeros(n),
-        torch.ones(n, dtype=torch.bool),
-    )
-    generator = torch.Generator().manual_seed(0)
-    action, _, behaviour = vmpo.act(inputs, vmpo.initial_memory(n), generator)
-    probabilities = behaviour["logits"][0].softmax(-1).numpy()
-    assert probabilities.max() - probabilities.min() > 0.01
-    frequencies = np.bincount(action.numpy(), minlength=ACTIONS) / n
-    sigma = np.sqrt(probabilities * (1 - probabilities) / n)
-    assert (abs(frequencies - probabilities) < 4 * sigma).all()
 
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
@@ -412,44 +384,6 @@ def _number(value):
         return float(value) if isinstance(value, str) else value
     except ValueError:
         return value
-
-
-def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
-    loaded = loading.load(
-        [
-            "experiment=demo",
-            "device=cpu",
-            "memory=lstm",
-            "memory.size=8",
-            "network.size=8",
-            "collector.num_envs=4",
-            "collector.unroll_length=5",
-            "environment.max_steps=9",
-            f"run_root={tmp_path}",
-        ]
-    )
-    loaded = loaded.model_copy(update={"agent": OPTIONS})
-    run_folder.make(loaded.folder)
-    whole, cut = Run(loaded), Run(loaded)
-
-    def advance(run):
-        for _ in range(4):
-            run.step()
-
-    advance(whole)
-    with cut:
-        advance(cut)
-        cut.save()
-    resumed = Run(loaded)
-    assert resumed.update == 4
-    for run in (whole, resumed):
-        advance(run)
-    assert isinstance(resumed.agent, VMPO)
-    assert_equal(everything(whole.agent), everything(resumed.agent))
-    for run in (whole, resumed):
-        checkpoint.save(tmp_path / f"{run.is_new}.pt", run.rollouts.collector.state_dict())
-        run.close()
-    assert_equal(*(checkpoint.load(tmp_path / f"{is_new}.pt") for is_new in (True, False)))
 
 
 @pytest.mark.slow

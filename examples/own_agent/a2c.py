@@ -14,7 +14,7 @@ import torch
 from zipf.agents import register
 from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.network import ActorCritic, Inputs
-from zipf.agents.returns import bootstrapped_returns
+from zipf.agents.returns import lambda_returns
 
 
 class A2COptions(LearnerOptions):
@@ -53,13 +53,14 @@ class A2C(Learner):
         outputs = self.network(Inputs.of(unroll.steps), unroll.memory)
         steps = unroll.steps[:-1]  # the last row belongs to the next unroll
         values, log_policy = outputs.value[:-1], outputs.logits[:-1].log_softmax(-1)
-        returns = bootstrapped_returns(
+        returns = lambda_returns(
             rewards=steps["reward"] + steps["bonus"],
-            final_value=outputs.value[-1].detach(),
+            values=outputs.value[1:].detach(),
             terminated=steps["terminated"],
             truncated=steps["truncated"],
             truncation_values=steps["truncation_value"],
             discount=self.options.discount,
+            lambda_=1.0,  # to the unroll's end
         )
         log_pi = log_policy.gather(-1, steps["action"].unsqueeze(-1)).squeeze(-1)
         policy_loss = -(log_pi * (returns - values.detach())).mean()

@@ -26,9 +26,9 @@ def sectors(solid: Solid, count: int, *, phase: float = 0.0, axis: str = "z") ->
     return Solid(solid.vertices, solid.triangles, np.where(odd, ACCENT, MAIN))
 
 
-def _turned(profile: list[tuple[float, float]], accent: set[int]) -> list[Solid]:
-    """A lathe of 12 sides whose stretches of those numbers have the accent colour."""
-    parts = [ACCENT if i in accent else MAIN for i in range(len(profile) - 1)]
+def _turned(profile: list[tuple[float, float]]) -> list[Solid]:
+    """A lathe of 12 sides whose stretches 2 and 3 have the accent colour."""
+    parts = [ACCENT if i in (2, 3) else MAIN for i in range(len(profile) - 1)]
     return [lathe(profile, parts, sides=12)]
 
 
@@ -50,7 +50,7 @@ def coil() -> list[Solid]:
 
 def cone() -> list[Solid]:
     levels = [(11.5 * (1 - z / 32), float(z)) for z in (0, 10, 16, 22)]
-    return _turned([(0.0, 0.0), *levels, (0.0, 32.0)], {2, 3})
+    return _turned([(0.0, 0.0), *levels, (0.0, 32.0)])
 
 
 def crossbar() -> list[Solid]:
@@ -72,7 +72,7 @@ def cube() -> list[Solid]:
 
 def cylinder() -> list[Solid]:
     levels = [(9.0, z) for z in (0.0, 15.0, 24.5, 34.0, 49.0)]
-    return _turned([(0.0, 0.0), *levels, (0.0, 49.0)], {2, 3})
+    return _turned([(0.0, 0.0), *levels, (0.0, 49.0)])
 
 
 def double_prism() -> list[Solid]:
@@ -93,8 +93,7 @@ def glow_ball() -> list[Solid]:
 
 def potcone() -> list[Solid]:
     return _turned(
-        [(0.0, 0.0), (8.0, 0.0), (12.0, 7.5), (16.0, 15.0), (11.0, 19.5), (5.0, 25.0), (0.0, 30.0)],
-        {2, 3},
+        [(0.0, 0.0), (8.0, 0.0), (12.0, 7.5), (16.0, 15.0), (11.0, 19.5), (5.0, 25.0), (0.0, 30.0)]
     )
 
 

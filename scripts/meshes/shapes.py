@@ -53,10 +53,10 @@ class Solid:
         """Scales along each axis from the origin; factors are positive."""
         return replace(self, vertices=self.vertices * (x, y, z))
 
-    def mirror(self, axis: str) -> "Solid":
-        """The mirror image in the plane through the origin across an axis."""
-        factors = np.where(np.arange(3) == "xyz".index(axis), -1.0, 1.0)
-        return replace(self, vertices=self.vertices * factors, triangles=self.triangles[:, ::-1])
+    def mirror(self) -> "Solid":
+        """The mirror image across the y axis, in the plane through the origin."""
+        mirrored = self.vertices * (1.0, -1.0, 1.0)
+        return replace(self, vertices=mirrored, triangles=self.triangles[:, ::-1])
 
 
 @dataclass(frozen=True)

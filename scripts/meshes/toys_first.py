@@ -33,7 +33,7 @@ from .shapes import (
 
 def both_sides(*solids: Solid) -> list[Solid]:
     """Each solid and its mirror image across the toy's middle, y = 0."""
-    return [*solids, *(solid.mirror("y") for solid in solids)]
+    return [*solids, *(solid.mirror() for solid in solids)]
 
 
 def wheels(radius: float, width: float, x: float) -> Solid:

@@ -47,11 +47,11 @@ def _oval(x: float, y: float, z: float, sides: int) -> np.ndarray:
     return circle(1.0, sides, z, start=180 / sides) * (x, y, 1.0)
 
 
-def _panels(solid: Solid, count: int, parts: tuple[int, int], *, twist: int = 0) -> Solid:
-    """Colours sectors about the z axis alternately in two colours; an odd `twist` swaps them."""
+def _panels(solid: Solid, count: int) -> Solid:
+    """Colours sectors about the z axis alternately in the main and the accent colour."""
     middle = solid.vertices[solid.triangles].mean(axis=1)
     sector = np.floor(np.arctan2(middle[:, 1], middle[:, 0]) / (2 * np.pi) * count).astype(int)
-    return replace(solid, parts=np.where((sector + twist) % 2 == 0, *parts))
+    return replace(solid, parts=np.where(sector % 2 == 0, MAIN, ACCENT))
 
 
 def keyboard() -> Mesh:
@@ -338,7 +338,7 @@ def scissors() -> Mesh:
         arm = rod((0, 0, 2), (0, 1, -8), 2.6, sides=4)
         ring = torus(6.2, 2.2, around=10, sides=4).turn("y", 90).move(0, 3.0, -13.5)
         for solid in (blade, arm, ring):
-            upright = solid.mirror("y") if side < 0 else solid
+            upright = solid.mirror() if side < 0 else solid
             solids.append(upright.turn("x", side * 27).move(side * 1.8))
     return assemble(solids, 0.18)
 
@@ -352,7 +352,7 @@ def umbrella() -> Mesh:
     hook = np.concatenate([[(0.0, 0.0, 34.0)], bend])
     return assemble(
         [
-            _panels(loft(canopy), 8, (MAIN, ACCENT)),
+            _panels(loft(canopy), 8),
             tube(hook, 2.2, DARK, sides=4),
             cone(1.8, 6, DARK, at=(0, 0, 35), sides=4),
         ],
@@ -364,7 +364,7 @@ def basket() -> Mesh:
     profile = [(11, 0), (13.2, 6), (15, 12), (16.5, 18), (14.5, 18), (10, 4), (0, 4)]
     hold = lathe(profile, [MAIN] * 5 + [DARK], sides=10).turn("z", 18)
     height = hold.vertices[hold.triangles][:, :, 2].mean(axis=1)
-    woven = _panels(hold, 10, (MAIN, ACCENT))
+    woven = _panels(hold, 10)
     checked = np.where((height > 6) & (height < 12), 1 - woven.parts, woven.parts)
     hold = replace(hold, parts=np.where(hold.parts == DARK, DARK, checked))
     handle = arc(15.5, 0, 180, 8, plane="yz", at=(0, 0, 16)) * (1, 1, 1.15)

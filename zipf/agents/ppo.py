@@ -35,7 +35,7 @@ from zipf.agents.capture import Captured, CudaGraph, Graph
 from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, sampled
-from zipf.agents.returns import gae
+from zipf.agents.returns import lambda_returns
 from zipf.agents.unroll import Unroll, weighted
 from zipf.options import Context, NotNegative, Positive, Share, Size
 
@@ -142,16 +142,16 @@ class PPO(Learner):
         with self.autocast():
             values = self.network(Inputs.of(self.seen(unroll).steps), unroll.memory).value
         steps = unroll.steps[:-1]
-        advantages = gae(
+        returns = lambda_returns(
             rewards=steps["reward"] + steps["bonus"],
-            values=values,
+            values=values[1:],
             terminated=steps["terminated"],
             truncated=steps["truncated"],
             truncation_values=steps["truncation_value"],
             discount=self.options.discount,
             lambda_=self.options.gae_lambda,
         )
-        return values, torch.cat([advantages, torch.zeros_like(values[:1])])
+        return values, torch.cat([returns, values[-1:]]) - values
 
     def loss(self, unroll: Unroll) -> Loss:
         """The loss of a minibatch, an unroll whose steps have `old_value` and `advantage`, the

@@ -139,17 +139,11 @@ class PrioritySampler(Sampler):
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Continues from `state_dict()`. Raises OSError: it is of a sampler of another capacity."""
-        leaves = state_dict["leaves"].numpy()
-        if len(leaves) != self.capacity:  # versions before had one for each slot
-            raise OSError(
-                f"the checkpoint's replay has {len(leaves)} priorities, not {self.capacity}: it is "
-                "of another version of zipf; resume with that one, or train anew"
-            )
+        """Continues from `state_dict()`."""
         self._empty()
         self.inserted = state_dict["inserted"]
         self.max_priority = state_dict["max_priority"]
-        self.tree.set(np.arange(self.capacity), leaves)
+        self.tree.set(np.arange(self.capacity), state_dict["leaves"].numpy())
         self.generator.set_state(state_dict["generator"])
 
     def dumps(self, path: Any) -> None:

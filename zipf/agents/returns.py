@@ -71,39 +71,6 @@ def vtrace(
 
 
 @torch.no_grad()
-def bootstrapped_returns(
-    *,
-    rewards: Tensor,
-    final_value: Tensor,
-    terminated: Tensor,
-    truncated: Tensor,
-    truncation_values: Tensor,
-    discount: float,
-) -> Tensor:
-    """On-policy returns to the unroll's end, and the value there (Song et al. 2020, equation 6).
-
-    Args:
-        rewards: float32 [T, B], r_t, the reward that followed a_t.
-        final_value: float32 [B], V(x_T), of the row after the last.
-        terminated: bool [T, B], the episode ended for good after a_t: no value follows.
-        truncated: bool [T, B], the episode was cut after a_t: its value there follows.
-        truncation_values: float32 [T, B], V(observation the episode was cut at); read where
-            `truncated`.
-        discount: gamma.
-
-    Returns:
-        float32 [T, B].
-    """
-    returns = torch.empty_like(rewards)
-    following = final_value
-    for t in reversed(range(len(rewards))):
-        following = torch.where(truncated[t], truncation_values[t], following)
-        following = rewards[t] + discount * following.masked_fill(terminated[t], 0.0)
-        returns[t] = following
-    return returns
-
-
-@torch.no_grad()
 def lambda_returns(
     *,
     rewards: Tensor,
@@ -120,11 +87,13 @@ def lambda_returns(
 
     whatever the behaviour was: traces are not cut where an action was not the greedy one. A
     terminated step has no successor; a truncated one bootstraps from the value of its own, and
-    returns do not flow across the cut.
+    returns do not flow across the cut. On-policy, G_t - v_t are the generalised advantage
+    estimates, GAE(lambda) (Schulman et al. 2016, equation 16), and with lambda = 1 G_t are the
+    T-step returns of Song et al. (2020, equation 6).
 
     Args:
         rewards: float32 [T, B], r_t, the reward that followed a_t.
-        values: float32 [T, B], v_1 to v_T: of the row after each, Q of the action chosen there.
+        values: float32 [T, B], v_1 to v_T: of the row after each, V, or Q of the action chosen.
         terminated: bool [T, B], the episode ended for good after a_t.
         truncated: bool [T, B], the episode was cut after a_t.
         truncation_values: float32 [T, B], the value of the observation it was cut at; read where
@@ -143,48 +112,6 @@ def lambda_returns(
         following = rewards[t] + discount * following.masked_fill(terminated[t], 0.0)
         returns[t] = following
     return returns
-
-
-@torch.no_grad()
-def gae(
-    *,
-    rewards: Tensor,
-    values: Tensor,
-    terminated: Tensor,
-    truncated: Tensor,
-    truncation_values: Tensor,
-    discount: float,
-    lambda_: float,
-) -> Tensor:
-    """Generalised advantage estimates, GAE(lambda) (Schulman et al. 2016, equation 16),
-
-        A_t = d_t + gamma lambda A_{t+1},  d_t = r_t + gamma V(x_{t+1}) - V(x_t)
-
-    within an episode and up to the unroll's end. A terminated step has no successor; a truncated
-    one bootstraps from the value of its own, and no error flows back across the cut.
-
-    Args:
-        rewards: float32 [T, B], r_t, the reward that followed a_t.
-        values: float32 [T + 1, B], V(x_t); the last row bootstraps.
-        terminated: bool [T, B], the episode ended for good after a_t.
-        truncated: bool [T, B], the episode was cut after a_t.
-        truncation_values: float32 [T, B], V(observation the episode was cut at); read where
-            `truncated`.
-        discount: gamma.
-        lambda_: 0 for the one-step error, 1 for returns to the end less the value.
-
-    Returns:
-        float32 [T, B], in the units of rewards; with V(x_t) added, the lambda-return.
-    """
-    following = torch.where(truncated, truncation_values, values[1:]).masked_fill(terminated, 0.0)
-    errors = rewards + discount * following - values[:-1]
-    trace = discount * lambda_ * ~(terminated | truncated)
-    advantages = torch.empty_like(errors)
-    advantage = torch.zeros_like(errors[0])
-    for t in reversed(range(len(errors))):
-        advantage = errors[t] + trace[t] * advantage
-        advantages[t] = advantage
-    return advantages
 
 
 RESCALING_EPSILON = 1e-3  # Pohlen et al. 2018, and the paper's R2D2 tables

@@ -36,7 +36,7 @@ from zipf.agents.hindsight import hindsight_loss
 from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, frozen_copy, sampled
-from zipf.agents.returns import bootstrapped_returns
+from zipf.agents.returns import lambda_returns
 from zipf.agents.unroll import Unroll, weighted
 from zipf.options import Context, Positive, Share, Size
 
@@ -122,13 +122,14 @@ class VMPO(Learner):
             auxiliary_loss, auxiliary_metrics = self.auxiliary(inputs, outputs.core)
 
         steps = steps[:-1]
-        returns = bootstrapped_returns(
+        returns = lambda_returns(
             rewards=steps["reward"] + steps["bonus"],
-            final_value=outputs.value[-1].detach(),
+            values=outputs.value[1:].detach(),
             terminated=steps["terminated"],
             truncated=steps["truncated"],
             truncation_values=steps["truncation_value"],
             discount=o.discount,
+            lambda_=1.0,
         )
         losses = vmpo_losses(
             log_policy=outputs.logits[:-1].log_softmax(-1),

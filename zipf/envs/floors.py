@@ -136,7 +136,6 @@ def search(
     seconds: float,
     episodes: int = EPISODES,
     known: Sequence[str] = (),
-    seed: int = 0,
 ) -> list[str]:
     """The best policies that were found in about so many seconds, the best first.
 
@@ -146,7 +145,7 @@ def search(
         episodes: of each policy, at first.
         known: policies to begin with, for instance those that do well with other options.
     """
-    return _Search(arena, seconds, episodes, seed).run(known)
+    return _Search(arena, seconds, episodes).run(known)
 
 
 def summary(policy: str) -> str:
@@ -163,9 +162,9 @@ def exceeds(found: Floor, known: float, margin: float) -> bool:
 
 
 class _Search:
-    def __init__(self, arena: Arena, seconds: float, episodes: int, seed: int) -> None:
+    def __init__(self, arena: Arena, seconds: float, episodes: int) -> None:
         self.arena = arena
-        self.rng = np.random.default_rng(seed)
+        self.rng = np.random.default_rng(0)
         self.began, self.seconds = time.monotonic(), seconds
         self.tried: dict[str, float] = {}
         self.episodes = episodes
@@ -177,7 +176,7 @@ class _Search:
         self._try([_actions([(one, 1)]) for one in self.rng.permutation(count).tolist()])
         alone = sorted(range(count), key=lambda one: -self.tried.get(_actions([(one, 1)]), -1e9))
         survivors = alone[:SURVIVORS]
-        self._try_until(SHARES[0], self._cycles(list(range(count)), 2, survivors))
+        self._try_until(SHARES[0], self._cycles(list(range(count)), survivors))
         self._try_until(SHARES[1], self._walks(survivors))
         while self._used() < SHARES[2]:
             self._try(self._children())
@@ -208,7 +207,7 @@ class _Search:
                 return
             self._try(part)
 
-    def _cycles(self, actions: list[int], length: int, survivors: list[int]) -> Iterator[str]:
+    def _cycles(self, actions: list[int], survivors: list[int]) -> Iterator[str]:
         """Cycles of two of all actions and of three of the survivors, in a random order."""
         pairs = [(a, b) for a in actions for b in actions if a != b]
         self.rng.shuffle(pairs)

@@ -1,6 +1,6 @@
 """Runs the frames of a step in all envs, compiled, and stops where a level's rules are needed.
 
-A frame is: turn and move (in combat: fight), touch items, enter zones, timers, the gaze, the
+A frame is: turn and move (in combat: fight), touch items, enter zones, the timer, the gaze, the
 clock. Whatever happens is told to the episode of that env, in Python; then its frames go on where
 they stopped. Envs do not wait for each other: most steps have no event at all.
 """
@@ -70,9 +70,8 @@ def run(mask, commands, left, part, envs, over, timed_out, event, index):
             if index[i] >= 0:
                 event[i] = ZONE
                 break
-            index[i] = _expired(envs, i)
-            if index[i] >= 0:
-                envs.timers[i, index[i]] = -1
+            if 0 <= envs.timer[i] <= envs.clock[i]:
+                envs.timer[i] = -1
                 event[i] = TIMER
                 break
             if envs.screen[i, 3] > 0.0:
@@ -122,15 +121,6 @@ def _entered(envs, i):
         before = envs.inside[i, k]
         envs.inside[i, k] = inside
         if inside and not before:
-            return k
-    return -1
-
-
-@compiled(error_model="numpy")
-def _expired(envs, i):
-    """The first timer that has gone off, or -1."""
-    for k in range(envs.timers.shape[1]):
-        if envs.timers[i, k] >= 0 and envs.clock[i] >= envs.timers[i, k]:
             return k
     return -1
 

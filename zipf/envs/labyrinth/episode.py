@@ -59,8 +59,8 @@ class Episode(ABC):
     def scored(self, points: int) -> None:  # noqa: B027
         """The player has won or lost a point in combat: 1 or -1."""
 
-    def went_off(self, timer: int) -> None:  # noqa: B027
-        """A timer has gone off."""
+    def went_off(self) -> None:  # noqa: B027
+        """The timer has gone off."""
 
     def looked_at(self, widget: int) -> None:  # noqa: B027
         """The player's gaze has entered a widget of the screen."""

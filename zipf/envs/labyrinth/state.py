@@ -24,7 +24,7 @@ TOUCH_X, TOUCH_Y, TOUCH_Z = 40.0, 36.0, 36.0
 """An item is touched within these distances of the player's point. The original's reach along x is
 from -50 to 44; approximated by a symmetric one."""
 GRID = 21  # most rows and columns of a text map
-ITEMS, BOXES, PLANES, PILLARS, ZONES, TIMERS = 184, 64, 16, 100, 10, 4
+ITEMS, BOXES, PLANES, PILLARS, ZONES = 184, 64, 16, 100, 10
 QUADS = 63
 WIDGETS = 4
 """Capacities of each env."""
@@ -67,7 +67,7 @@ class Envs(NamedTuple):
     zones: NDArray[np.float64]
     """[N, ZONES, 6]: boxes that tell when the player enters; empty ones are nowhere."""
     inside: NDArray[np.bool_]  # [N, ZONES]: whether the player is inside
-    timers: NDArray[np.int64]  # [N, TIMERS]: the frame at which a timer goes off; -1: it is off
+    timer: NDArray[np.int64]  # [N]: the frame at which the timer goes off; -1: it is off
     screen: NDArray[np.float64]
     """[N, 4]: x, y and z of the middle of a square screen that faces south, and its side; a side of
     0: there is none."""
@@ -91,7 +91,7 @@ _AT_FIRST: dict[str, tuple[tuple[int, ...], float]] = {
     "quad": ((), 0.0), "heights": ((QUADS + 1, QUADS + 1), 0.0),
     "held": ((), False), "hold": ((3,), 0.0), "places": ((ITEMS, 3), 0.0),
     "present": ((ITEMS,), False), "touchable": ((ITEMS,), False), "returning": ((ITEMS,), -1),
-    "zones": ((ZONES, 6), 0.0), "inside": ((ZONES,), False), "timers": ((TIMERS,), -1),
+    "zones": ((ZONES, 6), 0.0), "inside": ((ZONES,), False), "timer": ((), -1),
     "screen": ((4,), 0.0), "widgets": ((WIDGETS, 4), 0.0), "watched": ((), -1),
     "instruction": ((VOCABULARY.length,), 0),
 }  # fmt: skip

@@ -150,11 +150,6 @@ def counts(
     return sizes
 
 
-def counts_up_to(highest: int, least: Sequence[int], rng: np.random.Generator) -> list[int]:
-    """Sizes of groups whose sum is drawn from the least possible to `highest`."""
-    return counts(int(rng.integers(sum(least), highest + 1)), least, rng)
-
-
 # Placers: the slot of each object, of slots in the order of reading; None: it is nowhere.
 
 
@@ -198,10 +193,10 @@ class Judge:
         return (self.right if taken in self.goals else self.wrong), True
 
 
-def balanced(goal: int, others: int, right: int = 10) -> Judge:
-    """A judge by whom choices at random are worth about nothing: there is one goal, worth `right`,
-    and so many other objects."""
-    return Judge({goal}, right, -math.floor(right / others + 0.5))
+def balanced(others: int) -> Judge:
+    """A judge by whom choices at random are worth about nothing: the goal, which is the first
+    object, is worth 10, and there are so many others."""
+    return Judge({0}, 10, -math.floor(10 / others + 0.5))
 
 
 class CountingJudge(Judge):

@@ -175,7 +175,7 @@ class LabyrinthVectorEnv(ZipfVectorEnv):
         elif event == engine.POINT:
             episode.scored(index)
         elif event == engine.TIMER:
-            episode.went_off(index)
+            episode.went_off()
         elif event == engine.LOOKED:
             episode.looked_at(index)
         else:

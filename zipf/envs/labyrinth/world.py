@@ -319,12 +319,10 @@ class World:
         half = CELL / 2 - WIDE
         return self.add_zone((x - half, y - half, 0.0), (x + half, y + half, CELL))
 
-    def add_pictures(
-        self, solid: NDArray[np.bool_], rng: np.random.Generator, most: int = materials.PICTURES
-    ) -> None:
+    def add_pictures(self, solid: NDArray[np.bool_], rng: np.random.Generator) -> None:
         """Hangs pictures on some of a text map's walls: on every tenth, each another picture."""
         ends, _, numbers = faces(solid)
-        count = math.floor(min(0.5 + 0.1 * len(ends), most))
+        count = math.floor(min(0.5 + 0.1 * len(ends), materials.PICTURES))
         chosen = rng.permutation(len(ends))[:count]
         pictures = rng.permutation(materials.PICTURES)[:count] + materials.index("picture_0")
         ends, (cell, side) = ends[chosen], np.divmod(numbers[chosen], 4)
@@ -472,10 +470,10 @@ class World:
         self._envs.held[self._number] = True
         self._envs.hold[self._number] = x, y, height
 
-    def set_timer(self, timer: int, seconds: float) -> None:
-        """Lets one of the `TIMERS` timers go off after some seconds of the episode's clock."""
+    def set_timer(self, seconds: float) -> None:
+        """Lets the timer go off after some seconds of the episode's clock."""
         frames = round(seconds * FRAMES_PER_SECOND)
-        self._envs.timers[self._number, timer] = self._envs.clock[self._number] + frames
+        self._envs.timer[self._number] = self._envs.clock[self._number] + frames
 
     def tint_floor(self, floor: int, tint: materials.Colour) -> None:
         """Changes the colour of a floor."""

@@ -92,15 +92,14 @@ def _version(file: Path) -> tuple[Path, int]:
 def _read(file: Path, _: int) -> tuple[Written, dict[str, str]]:
     """A file, and the comments above its blocks."""
     try:
-        lines = _Lines(file)
+        with reading(file):
+            lines = _Lines(file)
         places = dict(_places(lines.root, lines))
         whole = Written(lines.values(), places, Place(file, 1, lines.above(0)))
     except yaml.YAMLError as error:
         raise UserError(f"{file}: is not a configuration: {' '.join(str(error).split())}") from None
     except UnicodeDecodeError:
         raise UserError(f"{file}: is not UTF-8 text") from None
-    except OSError as error:
-        raise UserError(f"{file}: cannot be read: {error}") from None
     return whole, {
         name: lines.above(place.line - 1) for name, place in places.items() if "." not in name
     }

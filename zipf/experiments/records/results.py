@@ -173,7 +173,7 @@ def aligned(seeds: Sequence[pd.DataFrame]) -> list[pd.DataFrame]:
     if len(seeds) < 2 or trained.duplicated().any():
         return list(seeds)
     numbered = pd.concat([seed.assign(number=range(len(seed))) for seed in seeds])
-    columns = [name for name in ("update", "frames", "seconds", "hours") if name in numbered]
+    columns = ["update", "frames", "seconds"]
     places = numbered.groupby("number")[columns].median()
     return [
         seed.assign(**{name: places[name].to_numpy()[: len(seed)] for name in columns})

@@ -140,12 +140,11 @@ class SynchronousRollouts:
     def state_dict(self) -> dict[str, Any]:
         """The collector's, between unrolls."""
         assert self.is_between_unrolls
-        state = {"collector": self.collector.state_dict()}
-        return state if self.parts == 1 else state | {"updates": self.updates}
+        return {"collector": self.collector.state_dict(), "updates": self.updates}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continues from `state_dict()`, or with new episodes from that of `TensorRollouts`."""
-        self.updates = state.get("updates", 0)
+        self.updates = state["updates"]
         if "tensor_envs" in state:
             tables = state["tensor_envs"]["hooks"]
             self.collector.begin_with(arrays(state["tally"]["visits"]), arrays(tables))
@@ -344,7 +343,7 @@ class TensorRollouts(SynchronousRollouts):
         """Continues from `state_dict()`, or with new episodes from that of other rollouts, after
         the agent has loaded its own."""
         device = self.collector.device
-        self.updates = state.get("updates", 0)
+        self.updates = state["updates"]
         self._pending = None
         if "tensor_envs" not in state:
             self._tally.begin_with(state.get("visits", state["collector"]["visits"]))

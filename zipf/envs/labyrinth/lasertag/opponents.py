@@ -13,6 +13,7 @@ import numpy as np
 
 from zipf.compiled import compiled
 from zipf.envs import pcg64
+from zipf.envs.labyrinth.grids import distances
 from zipf.envs.labyrinth.lasertag.arena import (
     AIM_PITCH,
     AIM_YAW,
@@ -288,7 +289,7 @@ def _go_to(combat, solid, i, f, row, column):
     field = combat.fields[i, f]
     if row != mind[FIELD_ROW] or column != mind[FIELD_COLUMN]:
         mind[FIELD_ROW], mind[FIELD_COLUMN] = row, column
-        _fill(field, solid, int(row), int(column))
+        field[:] = distances(solid, int(row), int(column))
     r, c = int(body[Y] // CELL), int(body[X] // CELL)
     best_r, best_c = r, c
     for k in range(4):
@@ -300,26 +301,6 @@ def _go_to(combat, solid, i, f, row, column):
     away = math.hypot(dx, dy)
     if away > 10.0:
         mind[WISH_X], mind[WISH_Y] = dx / away, dy / away
-
-
-@compiled(error_model="numpy")
-def _fill(field, solid, row, column):
-    """Writes the steps from every cell to one, int16 [rows, columns]; -1: no way leads there."""
-    rows, columns = solid.shape
-    field[:] = -1
-    queue = np.empty(rows * columns, np.int16)
-    field[row, column] = 0
-    queue[0] = row * columns + column
-    first, last = 0, 1
-    while first < last:
-        r, c = queue[first] // columns, queue[first] % columns
-        first += 1
-        for k in range(4):
-            y, x = r + (k == 1) - (k == 3), c + (k == 0) - (k == 2)
-            if 0 <= y < rows and 0 <= x < columns and not solid[y, x] and field[y, x] < 0:
-                field[y, x] = field[r, c] + 1
-                queue[last] = y * columns + x
-                last += 1
 
 
 @compiled(error_model="numpy")

@@ -24,7 +24,7 @@ from zipf.envs.labyrinth.tasks import (
     balanced,
     choice,
     common,
-    counts_up_to,
+    counts,
     diff,
     draw_objects,
     place_anywhere,
@@ -159,13 +159,13 @@ class ExecuteRandomTask(LanguageEpisode):
     def draw(self, rng: np.random.Generator) -> Task:
         kind = choice(_BY_WEIGHT, rng)
         layout = choice(kind.layouts, rng)
-        sizes = kind.sizes or counts_up_to(8, (2, 2), rng)
+        sizes = kind.sizes or counts(int(rng.integers(4, 9)), (2, 2), rng)
         context = Context(**CONTEXT, regions=layout.regions)
         groups = draw_objects(context, kind.groups, sizes, rng)
         objects = [one for group in groups for one in group]
         place = place_in_regions if kind.by_room else place_anywhere
         places = place(objects, layout.slot_regions, rng)
         goals, others = set(range(sizes[0])), len(objects) - sizes[0]
-        judge = CountingJudge(goals, others) if kind.every else balanced(0, others)
+        judge = CountingJudge(goals, others) if kind.every else balanced(others)
         text = kind.words(groups[0][0], groups[1][0], rng)
         return Task(layout, self.theme, objects, places, text, judge)

@@ -115,4 +115,4 @@ class SelectLocatedObject(LanguageEpisode):
             {letter: f"floor_{word}" for letter, word in floors.items()}, self.theme.walls
         )
         text = f"Pick the {goal.colour} object in the {floors[goal.region]} room"
-        return Task(layout, theme, objects, places, text, balanced(0, len(objects) - 1))
+        return Task(layout, theme, objects, places, text, balanced(len(objects) - 1))

@@ -116,9 +116,9 @@ class Psychlab(Episode):
         if self.done == self.trials:
             self.world.end_episode()
         else:
-            self.world.set_timer(0, _FRAME_SECONDS)
+            self.world.set_timer(_FRAME_SECONDS)
 
-    def went_off(self, timer: int) -> None:
+    def went_off(self) -> None:
         self._fixate()
 
     def act(self, known: Knowledge) -> int:

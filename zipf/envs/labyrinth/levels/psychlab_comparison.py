@@ -115,16 +115,16 @@ class SequentialComparison(Psychlab):
         self.screen.clear()
         self.phase = "delay"
         delay = DELAYS[int(self.rng.integers(len(DELAYS)))]
-        self.world.set_timer(0, delay / FRAMES_PER_SECOND)
+        self.world.set_timer(delay / FRAMES_PER_SECOND)
         self.wanted = CENTRE
 
-    def went_off(self, timer: int) -> None:
+    def went_off(self) -> None:
         if self.phase == "delay":
             self.phase = "test"
             self._show(self.test)
             self.ask((LEFT, RIGHT), self.right)
         else:
-            super().went_off(timer)
+            super().went_off()
 
     def answered(self, correct: bool) -> None:
         self.staircase.count(correct)

@@ -71,15 +71,15 @@ class Watermaze(Episode):
         x, y = self.place
         self.world.hold_player(x, y, RISE)
         self.world.put(self.platform, x, y)
-        self.world.set_timer(0, FIRST_TICK)
+        self.world.set_timer(FIRST_TICK)
 
-    def went_off(self, timer: int) -> None:
+    def went_off(self) -> None:
         self.points += 1
         if self.points == TICKS:
             self.world.finish_map()
             return
         self.world.reward(1)
-        self.world.set_timer(0, TICK)
+        self.world.set_timer(TICK)
 
     def act(self, known: Knowledge) -> int:
         """Walks to the platform, or in circles until it is found."""
