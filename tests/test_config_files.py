@@ -1,4 +1,4 @@
-"""Where configurations are: files of groups with blocks, and folders of files in Hydra's layout."""
+"""Where configurations are: files of groups with blocks, and files of experiments."""
 
 import subprocess
 import sys
@@ -8,7 +8,7 @@ import pytest
 
 from zipf.errors import UserError
 from zipf.experiments.building import loading
-from zipf.experiments.options import composing, config_files, written
+from zipf.experiments.options import composing, config_files, explaining, written
 from zipf.registry import registries
 
 FILES = {
@@ -39,33 +39,17 @@ FILES = {
           mlp: {layers: 3}
         """,
 }
-HYDRAS = {
-    "experiment/child.yaml": """
-        # @package _global_
-        defaults:
-          - demo
-          - override /memory: lstm
-          - _self_
-        experiment: child
-        memory: {layers: 2}
+OWN_CHOICES = {
+    "memory.yaml": """
+        short: {name: lstm, size: 64, layers: 1}
+        mlp: {size: 5, layers: 1}
         """,
-    "experiment/grandchild.yaml": """
-        # @package _global_
-        defaults:
-          - child
-          - _self_
-        experiment: grandchild
-        memory: {size: 32}
+    "environment.yaml": "small: {split: gridworld, num_rooms: [2, 2], num_objects: 5}\n",
+    "experiments/gridworld.yaml": """
+        like: demo
+        updates: 9
+        memory: {short: {layers: 2}}
         """,
-    "values/grandchild/impala.yaml": "defaults:\n  - /values/demo/impala@_here_\n",
-    "values/grandchild/gtrxl.yaml": """
-        defaults:
-          - /values/demo/gtrxl@_here_
-          - _self_
-        heads: 4
-        """,
-    "memory/short.yaml": "name: lstm\nsize: 64\nlayers: 1\n",
-    "memory/mlp.yaml": "name: mlp\nsize: 5\nlayers: 1\n",
 }
 
 
@@ -116,19 +100,16 @@ def test_a_value_does_not_reach_another_choice(folder):
     achieved = ["experiment=playroom_lift_compact", "condition=imitation_hindsight_augmented"]
     assert values(*achieved)["hindsight"]["episodes"] == 64
     assert values(*achieved, "hindsight=none")["hindsight"] == {"name": "none"}
-    folder(HYDRAS)
-    block = composing.choices("memory")
-    assert "short" in block
+    folder(OWN_CHOICES)
     for experiment in ("demo", "gridworld_compact", "labyrinth_compact", "playroom_lift_compact"):
         sizes = {
             one: values(f"experiment={experiment}", f"memory={one}")["memory"]["size"]
-            for one in block
+            for one in ("lstm", "mlp", "short")
         }
-        assert sizes["lstm"] == sizes["mlp"] == 256
-        assert sizes["short"] == 64
+        assert sizes == {"lstm": 256, "mlp": 256, "short": 64}
 
 
-def test_a_folder_in_our_layout(folder):
+def test_a_folder_of_ones_own(folder):
     folder(FILES)
     wide = loading.load(["experiment=mine", "condition=wide"])
     assert (wide.condition, wide.row.title, wide.memory.size) == ("wide", "Wide", 1024)
@@ -143,30 +124,44 @@ def test_a_folder_in_our_layout(folder):
     assert config_files.find("condition", "wide").place.comment == "IMPALA with a wide LSTM."
 
 
-@pytest.mark.parametrize("file", ["experiments/mine.yaml", "experiment/child.yaml"])
-def test_a_file_that_was_edited_is_read_again(file, folder):
-    path = folder(FILES | HYDRAS) / file
-    overrides = f"experiment={path.stem}", "seed=3"
-    assert values(*overrides)["updates"] != 71
-    lines = [one for one in path.read_text().splitlines() if not one.startswith("updates")]
-    path.write_text("\n".join([*lines, "updates: 71"]))
-    assert values(*overrides)["updates"] == 71
+def test_what_has_the_name_of_one_of_ours_takes_its_place(folder):
+    folder(OWN_CHOICES)
+    short = values("experiment=gridworld", "memory=short")
+    assert (short["memory"], short["updates"]) == ({"name": "lstm", "size": 64, "layers": 2}, 9)
+    assert values("experiment=gridworld_compact", "memory=mlp")["memory"]["size"] == 256
+    assert values("experiment=labyrinth_forward", "memory=mlp")["memory"]["size"] == 5
+    known = {one.option: one.place for one in explaining.explain(["experiment=gridworld"])}
+    assert known["updates"].file.parent.name == "experiments"
+    small = loading.load(["experiment=gridworld_compact", "environment=small"]).environment
+    assert (small.split, small.num_objects) == ("gridworld", 5)
 
 
-def test_a_folder_in_hydras_layout(folder):
-    """It includes ours by their names in this layout, and takes their place."""
-    before = values("experiment=demo", "memory=lstm")
-    folder(HYDRAS)
-    child = values("experiment=child")
-    assert child["memory"] == {"name": "lstm", "size": 256, "layers": 2}
-    assert child["agent"] == values("experiment=gridworld")["agent"] | {}  # no values for agents
-    assert child["collector"] == before["collector"]
-    last = values("experiment=grandchild")
-    assert last["memory"] == {"name": "lstm", "size": 32, "layers": 2}
-    assert last["agent"] == before["agent"]
-    gtrxl = values("experiment=grandchild", "memory=gtrxl")["memory"]
-    assert (gtrxl["size"], gtrxl["heads"], gtrxl["memory_length"]) == (128, 4, 32)
-    assert values("experiment=gridworld", "memory=mlp")["memory"]["size"] == 5
+def test_what_a_choice_has_of_other_options_counts_for_every_group(folder):
+    text = "like: demo\ncollector: {num_envs: 8}\nmemory: {mlp: {/collector: {num_envs: 4}}}\n"
+    folder({"experiments/mine.yaml": text})
+    assert values("experiment=mine")["collector"]["num_envs"] == 4
+    assert values("experiment=mine", "memory=lstm")["collector"]["num_envs"] == 8
+
+
+def test_a_file_that_was_edited_is_read_again(folder):
+    path = folder(FILES) / "experiments" / "mine.yaml"
+    assert values("experiment=mine", "seed=3")["updates"] == 7
+    path.write_text(path.read_text().replace("updates: 7", "updates: 71"))
+    assert values("experiment=mine", "seed=3")["updates"] == 71
+
+
+def test_files_in_hydras_layout_are_told_their_places(folder):
+    places = {
+        "condition/a.yaml": "the block 'a' of {}/condition.yaml",
+        "experiment/b.yaml": "{}/experiments/b.yaml",
+        "sweep/c.yaml": "the block 'c' of {}/sweep.yaml",
+        "values/demo/d.yaml": "the block 'd' of 'agent' or 'memory' in {}/experiments/demo.yaml",
+    }
+    here = folder(dict.fromkeys(places, "# @package _global_\n") | {"hydra/launcher/e.yaml": ""})
+    with pytest.raises(UserError) as error:
+        loading.load(["experiment=demo"])
+    told = [f"{here / file}: should be {place.format(here)}" for file, place in places.items()]
+    assert str(error.value).splitlines() == told
 
 
 @pytest.mark.parametrize(
@@ -193,9 +188,15 @@ def test_a_folder_in_hydras_layout(folder):
         ("experiments/bad.yaml", "- 1\n", "bad.yaml:1: should be options"),
         ("experiments/bad.yaml", "like: bad\n", "bad.yaml:1: like: bad would be like itself"),
         ("experiments/bad.yaml", "like: demo\nchoose: {memry: mlp}\n", "memry"),
+        ("experiments/bad.yaml", "like: dmo\n", "dmo"),
+        ("experiments/bad.yaml", "like: [demo]\n", "bad.yaml:1: like: should be the name of an"),
+        ("experiments/bad.yaml", "choose: mlp\n", "bad.yaml:1: choose: should be names of"),
+        ("condition.yaml", "bad:\n  choose: {memory: 3}\n", "yaml:2: choose: should be names of"),
+        ("experiments/bad.yaml", "updates: 1\ndefaults: [demo]\n", "bad.yaml:2: defaults: are Hyd"),
+        ("memory.yaml", "mlp: 3\n", "memory.yaml:1: mlp: should be options"),
     ],
 )
-def test_mistakes_in_our_layout_are_one_line(file, text, told, folder):
+def test_mistakes_in_files_are_one_line(file, text, told, folder):
     folder({file: text})
     words = ["experiment=bad" if "bad" in file else "experiment=demo"]
     with pytest.raises(UserError) as error:
@@ -251,30 +252,13 @@ def test_a_comment_that_says_same_is_that_of_the_line_above(tmp_path):
     }
 
 
-MINE = """# @package _global_
-# Mine.
-defaults:
-  - override /memory: mlp
-row: {title: "Mine é"}
-"""
-
-
-@pytest.mark.parametrize(
-    ("encoding", "told"),
-    [
-        ("utf-8-sig", "begins with a byte-order mark; save it as UTF-8 without one"),
-        ("latin-1", "is not UTF-8 text"),
-        ("utf-16", "is not UTF-8 text"),
-    ],
-)
-def test_a_file_of_another_encoding_is_named(encoding, told, tmp_path, monkeypatch):
-    monkeypatch.setattr(config_files, "_user_folders", [tmp_path])
-    path = tmp_path / "condition" / "mine.yaml"
-    path.parent.mkdir()
-    path.write_bytes(MINE.encode(encoding))
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-16"])
+def test_a_file_of_another_encoding_is_named(encoding, folder):
+    path = folder({}) / "condition.yaml"
+    path.write_bytes("# é\nmine: {}".encode(encoding))
     with pytest.raises(UserError) as raised:
         loading.load(["experiment=demo", "condition=mine"])
-    assert str(raised.value) == f"{path}: {told}"
+    assert str(raised.value) == f"{path}: is not UTF-8 text"
 
 
 def test_a_file_of_blocks_may_begin_with_a_mark_and_have_line_ends_of_windows(
@@ -285,6 +269,3 @@ def test_a_file_of_blocks_may_begin_with_a_mark_and_have_line_ends_of_windows(
     (tmp_path / "condition.yaml").write_bytes(text.encode("utf-8-sig"))
     config = loading.load(["experiment=demo", "condition=mine"])
     assert (config.memory.name, config.row.title) == ("mlp", "Mine")
-    (tmp_path / "condition.yaml").write_bytes("# é\nmine: {}".encode("latin-1"))
-    with pytest.raises(UserError, match=r"condition.yaml: is not UTF-8 text"):
-        loading.load(["experiment=demo", "condition=mine"])

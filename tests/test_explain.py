@@ -97,17 +97,15 @@ def test_the_choice_for_environments_without_an_instruction():
 
 def test_options_from_outside_the_package_have_a_line_too(tmp_path, monkeypatch):
     monkeypatch.setattr(config_files, "_user_folders", [])
-    (tmp_path / "condition").mkdir()
-    (tmp_path / "values" / "demo_conditions").mkdir(parents=True)
-    file = tmp_path / "condition" / "mine.yaml"
+    file = tmp_path / "condition.yaml"
     file.write_text(
-        "# @package _global_\ndefaults:\n  - override /memory: gtrxl  # why\n  - _self_\n"
-        "condition: mine\nmemory:\n  layers: 3  # tried\n"
+        "mine:\n  choose:\n    memory: gtrxl  # why\n"
+        "  memory:\n    gtrxl:\n      layers: 3  # tried\n"
     )
     config_files.add_folder(tmp_path)
     found = explaining.explain(["experiment=demo_conditions", "condition=mine"])
     known = {one.option: one for one in found}
-    for option, line, comment in (("memory.layers", 7, "tried"), ("memory.name", 3, "why")):
+    for option, line, comment in (("memory.layers", 6, "tried"), ("memory.name", 3, "why")):
         assert (known[option].place.file, known[option].place.line) == (file, line)
         assert known[option].comment == comment
 

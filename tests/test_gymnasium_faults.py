@@ -25,18 +25,12 @@ from zipf.experiments.building import feasibility
 from zipf.experiments.options import config_files
 
 EXPERIMENT = """
-    # @package _global_
-    defaults:
-      - /environment: faulty
-      - override /network: shallow
-      - override /memory: mlp
-      - _self_
-
-    experiment: faulty
+    choose: {environment: faulty, network: shallow, memory: mlp}
     updates: 2
-    memory: {size: 8}
-    network: {size: 8, code_size: 8, vector_layers: [8]}
-    agent: {learning_rate: 1e-3, max_gradient_norm: 1.0, adam_beta1: 0.9, adam_epsilon: 1e-8}
+    memory: {mlp: {size: 8}}
+    network: {shallow: {size: 8, code_size: 8, vector_layers: [8]}}
+    agent:
+      impala: {learning_rate: 1e-3, max_gradient_norm: 1.0, adam_beta1: 0.9, adam_epsilon: 1e-8}
     collector: {num_envs: 3, unroll_length: 4}
     evaluation: {every: 2, episodes: 4, num_envs: 2}
     schedule: {window: [1, 2], log_every: 1, checkpoint_every: 1}
@@ -118,7 +112,7 @@ def scored(**options: Any) -> dict[str, float]:
 
 def train(folder: Path, *overrides: str) -> Any:
     """The command of training, in this process."""
-    configs = folder / "configs" / "experiment"
+    configs = folder / "configs" / "experiments"
     configs.mkdir(parents=True, exist_ok=True)
     (configs / "faulty.yaml").write_text(textwrap.dedent(EXPERIMENT))
     arguments = "--config-dir", "configs", "experiment=faulty", "device=cpu", *overrides

@@ -28,18 +28,13 @@ from zipf.experiments.options import config_files
 from zipf.experiments.training import runner
 
 EXPERIMENT = """
-    # @package _global_
-    defaults:
-      - /environment: odd
-      - override /network: compact
-      - override /memory: mlp
-      - _self_
-
-    experiment: odd
+    choose: {environment: odd, network: compact, memory: mlp}
     updates: 2
-    memory: {size: 4}
-    network: {size: 4, channels: 2, code_size: 4, code_channels: 2, vector_layers: [4]}
-    agent: {learning_rate: 1e-3, max_gradient_norm: 1.0, adam_beta1: 0.9, adam_epsilon: 1e-8}
+    memory: {mlp: {size: 4}}
+    network:
+      compact: {size: 4, channels: 2, code_size: 4, code_channels: 2, vector_layers: [4]}
+    agent:
+      impala: {learning_rate: 1e-3, max_gradient_norm: 1.0, adam_beta1: 0.9, adam_epsilon: 1e-8}
     collector: {num_envs: 2, unroll_length: 3}
     evaluation: {every: 100, episodes: 1, num_envs: 1}
     schedule: {window: [1, 2], log_every: 1, checkpoint_every: 100}
@@ -295,8 +290,8 @@ def specs(draw: Any) -> Spec:
 @pytest.fixture(scope="module")
 def configs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("odd")
-    (folder / "experiment").mkdir()
-    (folder / "experiment" / "odd.yaml").write_text(textwrap.dedent(EXPERIMENT))
+    (folder / "experiments").mkdir()
+    (folder / "experiments" / "odd.yaml").write_text(textwrap.dedent(EXPERIMENT))
     return folder
 
 

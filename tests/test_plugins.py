@@ -81,32 +81,20 @@ WORLD = """
 """
 
 EXPERIMENT = """
-    # @package _global_
-    defaults:
-      - /environment: counter
-      - override /network: compact
-      - override /memory: mlp
-      - _self_
-
-    experiment: counting
+    choose: {environment: counter, network: compact, memory: mlp}
     updates: 4
-    memory: {size: 16}
-    network: {size: 16}
+    memory: {mlp: {size: 16}}
+    network: {compact: {size: 16}}
     collector: {num_envs: 4, unroll_length: 4}
     evaluation: {every: 2, episodes: 10, num_envs: 5}
     schedule: {window: [2, 4], log_every: 1, checkpoint_every: 2}
 """
 
 CONDITION = """
-    # @package _global_
-    defaults:
-      - override /agent: impala
-      - override /memory: mlp
-      - _self_
-
-    condition: eager
-    row: {title: Eager IMPALA, order: 0.5, colour: "#123456"}
-    agent: {discount: 0.5}
+    eager:
+      choose: {agent: impala, memory: mlp}
+      row: {title: Eager IMPALA, order: 0.5, colour: "#123456"}
+      agent: {impala: {discount: 0.5}}
 """
 
 
@@ -114,8 +102,8 @@ CONDITION = """
 def folder(tmp_path):
     files = {
         "my_worlds.py": WORLD,
-        "my_configs/experiment/counting.yaml": EXPERIMENT,
-        "my_configs/condition/eager.yaml": CONDITION,
+        "my_configs/experiments/counting.yaml": EXPERIMENT,
+        "my_configs/condition.yaml": CONDITION,
     }
     for name, text in files.items():
         path = tmp_path / name
@@ -209,40 +197,20 @@ def test_worlds_that_no_plugin_has_registered_are_told_how_to(folder):
 
 
 @pytest.mark.parametrize(
-    ("file", "text", "message"),
-    [
-        ("experiment", "a: [", r"while parsing .*mine.yaml"),
-        ("experiment", "a:\n\tb: 1", r"cannot start any token.*mine.yaml"),
-        ("experiment", "# @package _global_\ndefaults: impala\n", "list"),
-        ("experiment", "updates: 5\n", r"mine.yaml: should begin with '# @package _global_'"),
-        (
-            "condition",
-            "# @package _global_\ncondition: mine\nrow: Mine\n",
-            "row=Mine: should be a m",
-        ),
-        (
-            "condition",
-            "# @package _global_\ncondition: mine\nrow: {line: dotted}\n",
-            "row.line=dotted",
-        ),
-    ],
+    ("row", "message"), [("Mine", "row=Mine: should be a m"), ("{line: dotted}", "row.line=dotted")]
 )
-def test_mistakes_in_a_users_file_are_one_clear_line(file, text, message, tmp_path, monkeypatch):
+def test_mistakes_in_a_users_row_are_one_clear_line(row, message, tmp_path, monkeypatch):
     monkeypatch.setattr(config_files, "_user_folders", [])
-    (tmp_path / file).mkdir()
-    (tmp_path / file / "mine.yaml").write_text(text)
+    (tmp_path / "condition.yaml").write_text(f"mine: {{row: {row}}}\n")
     config_files.add_folder(tmp_path)
-    chosen = {"experiment": "demo", "condition": "impala", file: "mine"}
     with pytest.raises(UserError, match=message) as error:
-        loading.load([f"{group}={name}" for group, name in chosen.items()])
+        loading.load(["experiment=demo", "condition=mine"])
     assert len(str(error.value).splitlines()) == 1
 
 
 def test_a_condition_needs_no_title(tmp_path, monkeypatch):
     monkeypatch.setattr(config_files, "_user_folders", [])
-    (tmp_path / "condition").mkdir()
-    text = "# @package _global_\ncondition: mine\nrow: {order: 1}\n"
-    (tmp_path / "condition" / "mine.yaml").write_text(text)
+    (tmp_path / "condition.yaml").write_text("mine: {row: {order: 1}}\n")
     config_files.add_folder(tmp_path)
     assert loading.load(["experiment=demo", "condition=mine"]).row.title == "mine"
     assert catalogue.conditions()["mine"].order == 1
@@ -251,8 +219,8 @@ def test_a_condition_needs_no_title(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["it's conf", "a\\b, c]", "ends in \\", "both\\'"])
 def test_a_folder_of_any_name_has_configurations(name, tmp_path, monkeypatch):
     monkeypatch.setattr(config_files, "_user_folders", [])
-    (tmp_path / name / "condition").mkdir(parents=True)
-    (tmp_path / name / "condition" / "eager.yaml").write_text(textwrap.dedent(CONDITION))
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "condition.yaml").write_text(textwrap.dedent(CONDITION))
     config_files.add_folder(tmp_path / name)
     config = loading.load(["experiment=demo", "condition=eager"])
     assert config.agent.discount == 0.5

@@ -87,7 +87,7 @@ def test_python_code_runs(page, code, in_folder):
 def test_there_is_code_to_run():
     assert len(blocks("python", "README.md")) >= 2
     assert len(commands("zipf.train")) >= 20
-    assert {"bandit.py", "configs/experiment/bandit.yaml"} <= set(files("docs/your_own_env.md"))
+    assert {"bandit.py", "configs/experiments/bandit.yaml"} <= set(files("docs/your_own_env.md"))
 
 
 def overrides_of(arguments: list[str]) -> list[str]:

@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 from pathlib import Path
 
@@ -102,9 +103,9 @@ def test_overrides_apply_to_all_jobs_of_a_sweep():
 def own(tmp_path, monkeypatch):
     """A function that writes a sweep of one's own, `mine`."""
     monkeypatch.setattr(config_files, "_user_folders", [tmp_path / "configs"])
-    path = tmp_path / "configs" / "sweep" / "mine.yaml"
-    path.parent.mkdir(parents=True)
-    return path.write_text
+    path = tmp_path / "configs" / "sweep.yaml"
+    path.parent.mkdir()
+    return lambda text: path.write_text(f"# Mine.\nmine:\n{textwrap.indent(text, '  ')}")
 
 
 def everything(*overrides):
@@ -114,7 +115,6 @@ def everything(*overrides):
 
 def test_a_sweep_of_ones_own(own):
     own(
-        "# Mine.\n"
         "- {experiments: demo, conditions: impala, seeds: [3, 4], overrides: ['memory=mlp,lstm']}\n"
         "- {experiments: [demo, gridworld], seeds: [3]}\n"
         "- {experiments: demo, conditions: impala, seeds: [4, 5], overrides: [memory=lstm]}\n"
@@ -143,7 +143,7 @@ def test_a_sweep_of_ones_own(own):
         (["experiment=demo", "sweeep=demo"], "did you mean sweep"),
         (["experiment=demo", "seed=0,0"], "experiment=demo seed=0: is given twice"),
         (["experiment=demo", "updates=3,4"], "two jobs would use this folder"),
-        (["sweep=mine"], "mine.yaml: is no sweep: should be a list of blocks"),
+        (["sweep=mine"], "sweep.yaml:2: is no sweep: should be a list of blocks"),
     ],
 )
 def test_a_mistake_is_one_clear_line(words, told, own):

@@ -45,15 +45,15 @@ def condition_row(name: str) -> RowOptions:
     """
     written = find("condition", name)
     row = (written.values.get("row") if written else None) or {}
-    path = written.place.file if written else ""
+    place = written.place if written else ""
     if not isinstance(row, dict):
-        raise UserError(f"{path}: row={row}: should be a mapping, such as row: {{title: {name}}}")
+        raise UserError(f"{place}: row={row}: should be a mapping, such as row: {{title: {name}}}")
     try:
         return RowOptions(**{"title": name, **row})
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(("row", *map(str, first["loc"])))
-        raise UserError(f"{path}: {where}={first['input']}: {first['msg']}") from None
+        raise UserError(f"{place}: {where}={first['input']}: {first['msg']}") from None
 
 
 def summary(group: str, name: str) -> str:

@@ -7,7 +7,6 @@ with the defaults of its options class; a group that has a registry (`zipf.regis
 
 from __future__ import annotations
 
-import codecs
 import copy
 import re
 import threading
@@ -31,7 +30,7 @@ from zipf import envs, plugins
 from zipf.errors import UserError
 from zipf.experiments.options import config_files
 from zipf.experiments.options.config_files import find
-from zipf.experiments.options.written import Written, read
+from zipf.experiments.options.written import Written
 from zipf.options import Options
 from zipf.registry import registries
 
@@ -87,7 +86,7 @@ def load_plugins(modules: Iterable[str]) -> None:
 
 def search_path() -> str:
     """The override that makes Hydra find configurations outside `configs/`; empty for none."""
-    folders = ",".join(quoted(f"file://{folder}") for folder in config_files.folders()[1:])
+    folders = ",".join(quoted(f"file://{folder}") for folder in config_files.folders()[:-1])
     return f"hydra.searchpath=[{folders}]" if folders else ""
 
 
@@ -134,27 +133,9 @@ def _resolved(files: Files, search_path: str, *overrides: str) -> Composed:
         values = OmegaConf.to_container(config, resolve=True)
     except (HydraException, OmegaConfBaseException, YAMLError, ValueError, TypeError) as error:
         # The last three are of files of the user's.
-        raise UserError(_unreadable() or message_of(error)) from None
+        raise UserError(message_of(error)) from None
     assert isinstance(values, dict)
-    for group in ("experiment", "condition"):
-        if isinstance(values[group], dict):
-            raise UserError(
-                _unreadable()
-                or f"{_file_of(group, choices[group])}: should begin with '# @package _global_'"
-            )
     return Composed({str(k): v for k, v in values.items()}, choices, overrides)
-
-
-def _unreadable() -> str:
-    """What keeps Hydra from reading files of the user's, a line each."""
-    lines = []
-    for path in (one for folder in config_files.folders()[1:] for one in folder.glob("*/*.yaml")):
-        content = path.read_bytes()
-        if content.startswith(codecs.BOM_UTF8):
-            lines.append(f"{path}: begins with a byte-order mark; save it as UTF-8 without one")
-        elif "\ufffd" in content.decode(errors="replace"):
-            lines.append(f"{path}: is not UTF-8 text")
-    return "\n".join(sorted(lines))
 
 
 @cache
@@ -190,9 +171,6 @@ def config(name: str) -> tuple[dict[str, Any], Written | None]:
     """A configuration of `layers`, such as `agent/impala`: its values, and how it is written; None
     for one that is registered in Python."""
     group, _, choice = name.rpartition("/")
-    if (file := config_files.find_file(group, choice)) is not None:
-        written = read(file)
-        return written.values, written
     if node := _nodes().get(name):
         return node.values, node.written
     return _registered()[group][choice], None
@@ -217,12 +195,6 @@ def layers(*overrides: str) -> Layers:
         if (group := one.override_key) and (group in made or one.parent)
     }
     return Layers(configs, chosen)
-
-
-def _file_of(group: str, name: str) -> Path:
-    written = find(group, name)
-    assert written is not None
-    return written.place.file
 
 
 def message_of(error: Exception) -> str:
@@ -270,17 +242,15 @@ ConfigStore.__deepcopy__ = lambda self, _: self  # type: ignore[attr-defined]
 
 
 def _store() -> None:
-    """Stores what is in our layout, and what is registered, where Hydra finds it."""
+    """Stores what is written, and what is registered, where Hydra finds it."""
     global _stored
     store, nodes = ConfigStore.instance(), _nodes()
     if nodes is not _stored:
-        for path in _stored.keys() | nodes.keys():
+        for path in _stored.keys() - nodes.keys():
+            _forget(path)
+        for path, node in nodes.items():
             group, _, name = path.rpartition("/")
-            if path in nodes and config_files.find_file(group, name) is None:
-                node = nodes[path]
-                store.store(group=group or None, name=name, node=node.values, package=node.package)
-            else:
-                _forget(path)
+            store.store(group=group or None, name=name, node=node.values, package=node.package)
         _stored = nodes
     for group, known in _registered().items():
         for name, values in known.items():
@@ -290,7 +260,7 @@ def _store() -> None:
 
 
 def _forget(path: str) -> None:
-    """Takes a configuration from where Hydra finds it: it would be the schema of that file."""
+    """Takes a configuration from where Hydra finds it."""
     *groups, name = path.split("/")
     known = ConfigStore.instance().repo
     for group in groups:
@@ -303,7 +273,7 @@ _stored: dict[str, config_files.Node] = {}  # what was stored last
 
 def _files() -> Files:
     """All files of configurations."""
-    places = ("*.yaml", "*/*.yaml", "*/*/*.yaml")
+    places = ("*.yaml", "*/*.yaml")
     folders = config_files.folders()
     files = (path for folder in folders for one in places for path in sorted(folder.glob(one)))
     return tuple((path, path.stat().st_mtime_ns) for path in files)
@@ -315,7 +285,7 @@ def _nodes() -> dict[str, config_files.Node]:
 
 @cache
 def _nodes_of(folders: tuple[Path, ...], files: Files) -> dict[str, config_files.Node]:
-    """The configurations in our layout in these folders, with files of these times."""
+    """The configurations in these folders, with files of these times."""
     return config_files.nodes()
 
 

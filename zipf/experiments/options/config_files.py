@@ -1,13 +1,13 @@
 """Where configurations are: `configs/`, folders of the user's and of plugins.
 
-`configs/` has a file for each group, with a block for each choice; a file for each experiment; one
-for all conditions, one for all sweeps and one for searches. Hydra has a file for each choice, in a
-folder for each group: so `nodes` makes of ours what Hydra would find in such folders. A folder of
-the user's may be laid out in either way.
+Each has a file for each group, with a block for each choice; a file for each experiment; one for
+all conditions, one for all sweeps and one for searches. Hydra has a file for each choice, in a
+folder for each group: so `nodes` makes of ours what Hydra would find in such folders.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 import zipf
 from zipf import plugins
 from zipf.errors import UserError
-from zipf.experiments.options.written import Place, Written, blocks, read
+from zipf.experiments.options.written import Written, blocks, read
 
 _PACKAGE = Path(zipf.__file__).parent
 # In the wheel `configs/` lies inside the package; in a checkout it lies beside it.
@@ -44,8 +44,7 @@ class Node:
 
 
 def add_folder(folder: str | Path) -> None:
-    """Adds a folder of the user's, laid out like `configs/` or as Hydra's folders are
-    (`--config-dir`).
+    """Adds a folder of the user's, laid out like `configs/` (`--config-dir`).
 
     Raises:
         UserError: there is no such folder.
@@ -62,9 +61,8 @@ def add_folder(folder: str | Path) -> None:
 
 
 def folders() -> list[Path]:
-    """All folders; of equal names the first one that has it counts, but of a choice that is in ours
-    a file in Hydra's layout."""
-    return [CONFIG_DIR, *_user_folders, *plugins.config_folders()]
+    """All folders; of equal names the first one that has it counts, so ours are the last."""
+    return [*_user_folders, *plugins.config_folders(), CONFIG_DIR]
 
 
 def usual() -> Written:
@@ -88,19 +86,14 @@ def package(group: str, name: str) -> str | None:
 
 
 def groups() -> set[str]:
-    """The groups that have files."""
-    found = {path.name for folder in folders() for path in folder.iterdir() if path.is_dir()}
-    # values are chosen by the other groups
-    others = {"values", "sweep", "search", "hydra", "experiments"}
-    return (found | {"experiment", "condition", *usual().values}) - others
+    """The groups that a run has choices of."""
+    return {"experiment", "condition", "environment", *usual().values}
 
 
 def choices(group: str) -> set[str]:
     """The names in a group that are written in files."""
-    found = {path.stem for folder in folders() for path in (folder / group).glob("*.yaml")}
-    for folder in folders():
-        found |= _written(folder, group).keys()
-    return found | ({usual().values[group]} if group in parts() else set())
+    found = {usual().values[group]} if group in parts() else set()
+    return found.union(*(_written(folder, group) for folder in folders()))
 
 
 def find(group: str, name: str) -> Written | None:
@@ -109,8 +102,6 @@ def find(group: str, name: str) -> Written | None:
     Raises:
         UserError: its file is no configuration, or cannot be read.
     """
-    if (file := find_file(group, name)) is not None:
-        return read(file)
     for folder in folders():
         if name in (known := _written(folder, group)):
             return known[name]
@@ -119,48 +110,60 @@ def find(group: str, name: str) -> Written | None:
     return None
 
 
-def find_file(group: str, name: str) -> Path | None:
-    """The file of a configuration in Hydra's layout; None where there is none."""
-    paths = (folder / group / f"{name}.yaml" for folder in folders())
-    return next((path for path in paths if path.is_file()), None)
-
-
 def _written(folder: Path, group: str) -> dict[str, Written]:
-    """What a folder has of a group in our layout."""
+    """What a folder has of a group."""
     if group == "experiment":
         return {path.stem: read(path) for path in sorted(folder.glob("experiments/*.yaml"))}
     path = folder / f"{group}.yaml"
-    if group not in ("condition", "sweep", "search", *usual().values) or not path.is_file():
+    if group not in {*groups(), "sweep", "search"} or not path.is_file():
         return {}
     found = blocks(path)
-    if group in usual().values:
-        named = {name: {"name": name, **(one.values or {})} for name, one in found.items()}
-        found = {name: replace(one, values=named[name]) for name, one in found.items()}
+    if group in ("environment", *usual().values):
+        return {name: _part(group, name, one) for name, one in found.items()}
     return found
 
 
+def _part(group: str, name: str, written: Written) -> Written:
+    """The options of a choice; a family of environments has no name among them."""
+    values = {} if written.values is None else written.values
+    if not isinstance(values, dict):
+        raise UserError(f"{written.place}: {name}: should be options, such as 'size: 64'")
+    named = {} if group == "environment" else {"name": name}
+    return replace(written, values={**named, **values})
+
+
+def _misplaced(folder: Path) -> Iterator[str]:
+    """A line for each file that is laid out as Hydra's are: what it should be."""
+    experiments = folder / "experiments"
+    for group in sorted(groups() | {"sweep", "search"}):
+        for path in sorted((folder / group).glob("*.yaml")):
+            if group == "experiment":
+                yield f"{path}: should be {experiments / path.name}"
+            else:
+                yield f"{path}: should be the block '{path.stem}' of {folder / group}.yaml"
+    for path in sorted(folder.glob("values/*/*.yaml")):
+        file = experiments / f"{path.parent.name}.yaml"
+        yield f"{path}: should be the block '{path.stem}' of 'agent' or 'memory' in {file}"
+
+
 def nodes() -> dict[str, Node]:
-    """What is in our layout as Hydra would have it, by name, such as `agent/impala`.
+    """What is written as Hydra would have it, by name, such as `agent/impala`.
 
     Raises:
-        UserError: what is written is no configuration.
+        UserError: what is written is no configuration, or a folder has Hydra's layout.
     """
+    if misplaced := [line for folder in folders() for line in _misplaced(folder)]:
+        raise UserError("\n".join(misplaced))
     found: dict[str, Node] = {}
-    for group in parts():
-        usually = usual().values[group]
-        written = {usually: find(group, usually)} | _all(group)
-        for name, one in written.items():
-            if one is not None:
-                found[f"{group}/{name}"] = Node(one.values, None, one)
-    for group in several():
-        for name, one in _all(group).items():
-            found[f"{group}/{name}"] = Node(one.values, package(group, name), one)
+    for group in ("environment", *usual().values):
+        for name in sorted(choices(group)):
+            if one := find(group, name):
+                found[f"{group}/{name}"] = Node(one.values, package(group, name), one)
     for name, one in _all("condition").items():
         found |= _condition(name, one)
     experiments = _all("experiment")
     for name in experiments:
         found |= _experiment(name, experiments)
-    found |= _inherited(found)
     return found | {PRIMARY: _primary(found)}
 
 
@@ -174,21 +177,18 @@ def _all(group: str) -> dict[str, Written]:
 def _primary(found: dict[str, Node]) -> Node:
     """What all others are composed into.
 
-    Values of an experiment, or a condition, for a choice come before its others, so that a file in
-    Hydra's layout that includes it overrides both; but those for an agent after them, since they
-    may change options that are not the agent's.
+    What an experiment, or a condition, has for a choice comes after its others, since it may
+    change options that are not the choice's.
     """
     written = read(CONFIG_DIR / "train.yaml")
     values = {name: value for name, value in written.values.items() if name != "choose"}
     defaults = [
         "_self_",
         *({group: choice} for group, choice in usual().values.items()),
-        *_by_choice("experiment", found),
         {"experiment": None},
-        # Where files in Hydra's layout have them; ours are stored as if they were there.
-        *({f"optional values@{one}": f"${{experiment}}/${{{one}}}"} for one in ("agent", "memory")),
-        *_by_choice("condition", found),
+        *_by_choice("experiment", found),
         {"condition": None},
+        *_by_choice("condition", found),
         {"override hydra/hydra_logging": "none"},
         {"override hydra/job_logging": "none"},
     ]
@@ -197,10 +197,11 @@ def _primary(found: dict[str, Node]) -> Node:
 
 def _by_choice(of: str, found: dict[str, Node]) -> list[dict[str, str]]:
     """The defaults for groups that an experiment, or a condition, has values of."""
-    paths = (path.split("/") for path in found if path.startswith(f"by_choice/{of}/"))
+    having = {path.split("/")[3] for path in found if path.startswith(f"by_choice/{of}/")}
     return [
         {f"optional by_choice/{of}@{group}": f"${{{of}}}/{group}/${{{group}}}"}
-        for group in dict.fromkeys(path[3] for path in paths)
+        for group in parts()
+        if group in having
     ]
 
 
@@ -227,7 +228,7 @@ def _experiment(name: str, known: dict[str, Written]) -> dict[str, Node]:
         defaults: list[Any] = []
         if (group, choice) in inherited:
             defaults.append(f"/{_path(parent, group, choice)}@_here_")
-        here = {key: value for key, value in part.values.items() if not key.startswith("/")}
+        here = {key: value for key, value in part.values.items() if not str(key).startswith("/")}
         if elsewhere := {key[1:]: part.values[key] for key in part.values.keys() - here.keys()}:
             places = {option.removeprefix("/"): place for option, place in part.places.items()}
             defaults.append(f"/{path}_elsewhere@_global_")
@@ -236,8 +237,6 @@ def _experiment(name: str, known: dict[str, Written]) -> dict[str, Node]:
             )
         part = Written(here, part.places, part.place)
         found[path] = Node({"defaults": [*defaults, "_self_"], **here}, None, part)
-        if group == "memory":  # as a file in Hydra's layout may name it
-            found[f"values/{name}/{choice}"] = Node({"defaults": [f"/{path}@_here_"]}, None, part)
     choose = dict(values.pop("choose", {}))
     defaults = [parent] if parent else []
     if "environment" in choose and not parent:  # which has none that one could override
@@ -249,8 +248,6 @@ def _experiment(name: str, known: dict[str, Written]) -> dict[str, Node]:
 
 def _path(experiment: str, group: str, choice: str) -> str:
     """The configuration with what an experiment has for a choice."""
-    if group == "agent":
-        return f"values/{experiment}/{choice}"
     return f"by_choice/experiment/{experiment}/{group}/{choice}"
 
 
@@ -264,7 +261,7 @@ def _sections_of(name: str | None, known: dict[str, Written]) -> list[tuple[str,
     seen = []
     while name in known:
         if name in seen:
-            raise UserError(f"{_shown(known[name].place)}: like: {name} would be like itself")
+            raise UserError(f"{known[name].place}: like: {name} would be like itself")
         seen.append(name)
         values, sections = _without_sections(known[name])
         found |= dict.fromkeys(sections)
@@ -276,49 +273,38 @@ def _without_sections(written: Written) -> tuple[dict[str, Any], dict[tuple[str,
     """The options of no group, and the values of groups: those for each choice.
 
     Raises:
-        UserError: values of a group do not say for which choice they are.
+        UserError: values of a group do not say for which choice they are, or choices are none.
     """
     if not isinstance(written.values, dict):
-        raise UserError(f"{_shown(written.place)}: should be options, such as 'updates: 100'")
+        raise UserError(f"{written.place}: should be options, such as 'updates: 100'")
     values, sections = dict(written.values), {}
+    for option, accepted in _CHOOSING.items():
+        if option in values and not _chooses(option, values[option]):
+            raise UserError(f"{written.places[option]}: {option}: {accepted}")
     for group in parts():
         section = values.pop(group, {})
         for choice in section if isinstance(section, dict) else [section]:
             if not isinstance(section, dict) or not isinstance(section[choice], dict):
                 raise UserError(
-                    f"{_shown(written.places[group])}: {group}: values of a group are those for a "
+                    f"{written.places[group]}: {group}: values of a group are those for a "
                     f"choice, such as '{group}: {{{usual().values[group]}: {{...}}}}'"
                 )
             sections[group, choice] = written.part(f"{group}.{choice}")
     return values, sections
 
 
-def _shown(place: Place) -> str:
-    return f"{place.file}:{place.line}"
+_CHOOSING = {
+    "defaults": "are Hydra's; 'choose: {memory: mlp}' and 'like: demo' take their place",
+    "choose": "should be names of choices, such as 'choose: {memory: mlp}'",
+    "like": "should be the name of an experiment, such as 'like: demo'",
+}
 
 
-def _inherited(ours: dict[str, Node]) -> dict[str, Node]:
-    """What experiments in Hydra's layout have for choices since they include one of ours."""
-    files = [path for folder in folders() for path in sorted(folder.glob("experiment/*.yaml"))]
-    found: dict[str, Node] = {}
-    for _ in files:  # one may include another
-        for path in files:
-            for parent in _includes(path):
-                above = f"by_choice/experiment/{parent}/"
-                for name, node in (ours | found).items():
-                    if name.startswith(above):
-                        child = f"by_choice/experiment/{path.stem}/{name.removeprefix(above)}"
-                        written = Written({}, {}, node.written.place)
-                        found[child] = Node({"defaults": [f"/{name}@_here_"]}, None, written)
-    return found
-
-
-def _includes(path: Path) -> list[str]:
-    """The experiments that a file in Hydra's layout includes."""
-    try:
-        values = read(path).values
-    except UserError:  # Hydra tells, where it is chosen
-        return []
-    defaults = values.get("defaults") if isinstance(values, dict) else None
-    entries = defaults if isinstance(defaults, list) else []
-    return [one.removeprefix("/experiment/") for one in entries if isinstance(one, str)]
+def _chooses(option: str, value: Any) -> bool:
+    """Whether an option of a configuration can say what it is composed of."""
+    match option, value:
+        case "choose", dict():
+            return all(isinstance(one, str | list) for one in value.values())
+        case "like", str():
+            return True
+    return False

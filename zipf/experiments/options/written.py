@@ -26,6 +26,9 @@ class Place:
     line: int
     comment: str
 
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}"
+
 
 @dataclass(frozen=True)
 class Written:
@@ -33,8 +36,7 @@ class Written:
 
     Attributes:
         values: what is written.
-        places: where each option is, such as `collector.num_envs`; of what a list of defaults
-            chooses it is `choose.<group>`.
+        places: where each option is, such as `collector.num_envs`.
         place: where it begins; its comment is what the file says about it.
     """
 
@@ -124,8 +126,7 @@ class _Lines:
         while first and self.lines[first - 1].startswith("#"):
             first -= 1
         found = itertools.takewhile(lambda text: text.startswith("#"), self.lines[first:])
-        said = (text.removeprefix("#").strip() for text in found)
-        return " ".join(text for text in said if not text.startswith("@package"))
+        return " ".join(text.removeprefix("#").strip() for text in found)
 
     def comment(self, line: int, column: int) -> str:
         """What follows an option whose value ends there, both counted from 0."""
@@ -156,9 +157,6 @@ def _places(
     if not isinstance(node, yaml.MappingNode):
         return
     for key, value in node.value:
-        if key.value == "defaults" and isinstance(value, yaml.SequenceNode):
-            yield from _choices(value, lines)
-            continue
         name = f"{of}{key.value}"
         scalar = isinstance(value, yaml.ScalarNode)
         below = value.style in ("|", ">") if scalar else not value.flow_style
@@ -166,16 +164,6 @@ def _places(
         comment = lines.comment(ends.line, ends.column)
         yield name, Place(lines.file, key.start_mark.line + 1, comment)
         yield from _places(value, lines, f"{name}.", None if below else ends)
-
-
-def _choices(node: yaml.SequenceNode, lines: _Lines) -> Iterator[tuple[str, Place]]:
-    """What a list of defaults chooses."""
-    for entry in node.value:
-        for key, value in entry.value if isinstance(entry, yaml.MappingNode) else ():
-            group = key.value.removeprefix("override ").removeprefix("/")
-            ends = value.end_mark
-            comment = lines.comment(ends.line, ends.column)
-            yield f"choose.{group}", Place(lines.file, ends.line + 1, comment)
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]

@@ -24,6 +24,7 @@ from zipf.errors import UserError
 from zipf.experiments.building import loading
 from zipf.experiments.options import catalogue, command_line, composing, config_files
 from zipf.experiments.options.schema import Config, Name, Seed
+from zipf.experiments.options.written import Place
 from zipf.experiments.records.paper import conditions_of_the_paper, paper_table
 from zipf.options import Options
 
@@ -263,13 +264,13 @@ def read_blocks(name: str) -> list[Block | Chain]:
     if written is None:
         hint = command_line.nearest(name, composing.choices("sweep"))
         raise UserError(f"sweep={name}: no such sweep; {hint}")
-    path, content = written.place.file, written.values
+    place, content = written.place, written.values
     if not isinstance(content, list) or not content:
-        raise UserError(f"{path}: is no sweep: should be a list of blocks")
-    return [read_block(path, block) for block in content]
+        raise UserError(f"{place}: is no sweep: should be a list of blocks")
+    return [read_block(place, block) for block in content]
 
 
-def read_block(path: Path, block: Any) -> Block | Chain:
+def read_block(place: Place | Path, block: Any) -> Block | Chain:
     """A block of a sweep in a file; with `stages` it is a chain.
 
     Raises:
@@ -282,7 +283,7 @@ def read_block(path: Path, block: Any) -> Block | Chain:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "a block"
         accepted = ", ".join(kind.model_fields)
-        raise UserError(f"{path}: {where}: {first['msg']}; a block has {accepted}") from None
+        raise UserError(f"{place}: {where}: {first['msg']}; a block has {accepted}") from None
 
 
 def _conditions(sweep: str, named: str | list[str], experiment: str) -> dict[str, bool]:
