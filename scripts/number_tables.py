@@ -23,6 +23,7 @@ from zipf.experiments.reporting.seed_statistics import (
 )
 from zipf.experiments.reporting.statistics import FEWEST_SEEDS
 from zipf.experiments.reporting.tables import ScoreTable, score_tables
+from zipf.experiments.reporting.windows import Window, evaluations_inside
 from zipf.protocol import BASELINES, PAPER_KINDS
 
 RESULTS = Path(__file__).parent.parent / "results"
@@ -94,7 +95,11 @@ def alone(experiment: str) -> list[str]:
         levels = _levels(folder)
         table, row = _row(folder)
         (score,) = table.scores[table.scores["row"] == row.key].to_dict("records")
-        spent = (str(int(score["seeds"])), f"{score['frames'] / 1e6:,.1f} M", _spent(row.runs))
+        spent = (
+            str(int(score["seeds"])),
+            f"{score['frames'] / 1e6:,.1f} M",
+            _spent(row, table.window),
+        )
         known = (_known(levels, one.name, ["train"])[0] for one in BASELINES)
         name = code(levels[0]["level"].rpartition("/")[2])
         agent = row.title.replace(f", environment.split={table.description.split}", "")
@@ -160,27 +165,31 @@ def _shown(
     if len(changes := envs.family_of_split(table.description.split).image_changes):
         version = min(run.description.images or 0 for run in row.runs)
         title += f" (images v{version})" if version < len(changes) else ""
-    spent = [_spent(row.runs)] if hours else []
+    spent = [_spent(row, table.window)] if hours else []
     return (title, agent.beyond, str(seeds), f"{frames / 1e6:,.1f} M", *spent, *texts)
 
 
-def _spent(runs: Sequence[Run]) -> str:
-    hours = median(map(_hours, runs))
+def _spent(row: Row, window: Window) -> str:
+    """The hours up to the scores of the row, of the median seed that has one."""
+    inside = {run: evaluations_inside(run, window)["seconds"] for run in row.runs}
+    hours = median(
+        seconds.max() / 3600 + _before(run) for run, seconds in inside.items() if len(seconds)
+    )
     if isnan(hours):
         return NONE
     return f"{hours:.1f}" if hours >= 0.1 else f"{hours:.2f}"
 
 
-def _hours(run: Run) -> float:
-    """Of a run and of those that it began with; NaN where the record has not all of these."""
-    before = 0.0
-    if there := run.description.pretrained:
-        folder = RESULTS / there.experiment / there.condition / f"seed{there.seed}"
-        # A later run may have its name.
-        found = [one for one in _all_runs() if one.folder == folder]
-        same = found and _learned(found[0]) == there.frames
-        before = _hours(found[0]) if same else nan
-    return run.seconds / 3600 + before
+def _before(run: Run) -> float:
+    """The hours of the runs that a run began with; NaN where the record has not all of these."""
+    there = run.description.pretrained
+    if there is None:
+        return 0.0
+    folder = RESULTS / there.experiment / there.condition / f"seed{there.seed}"
+    found = [one for one in _all_runs() if one.folder == folder]
+    if not found or _learned(found[0]) != there.frames:  # a later run may have its name
+        return nan
+    return found[0].seconds / 3600 + _before(found[0])
 
 
 def _learned(run: Run) -> int:

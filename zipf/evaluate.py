@@ -34,8 +34,9 @@ __all__ = ["Evaluation", "Policy", "env_options", "main", "record", "score"]
 USAGE = """usage: python -m zipf.evaluate run=FOLDER [option=value ...]
        python -m zipf.evaluate policy=NAME split=NAME [option=value ...]
 
-Plays the agent of a run's last checkpoint, or a scripted policy, on the train, uniform and rare
-levels of a split, and prints its scores beside those of chance and other baselines.
+Plays the agent of a run's last checkpoint, or a scripted policy, on the levels of each kind that a
+split has (train, uniform, rare, and some validation and fresh), and prints its scores beside those
+of chance and other baselines.
 
 Examples:
 

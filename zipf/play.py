@@ -24,8 +24,8 @@ Examples:
 
 Options:
 
-    level=NAME      a level; with run=: also train, uniform or rare, the run's levels of that kind;
-                    default with run=: train
+    level=NAME      a level; with run=: also train, uniform, rare, validation or fresh, the run's
+                    levels of that kind; default with run=: train
     run=FOLDER      a run's folder with a checkpoint or, without one, weights: its agent plays, in
                     the envs of the run
     policy=NAME     keyboard, random, agent (of the run), or a script: expert, which reads the state

@@ -349,9 +349,10 @@ def make_vec(
         ValueError: for an unknown level, or options out of range.
     """
     if threads != 1 or processes is not None:
-        given = level if isinstance(level, list | tuple) else [level]
+        one = isinstance(level, str | SplitLevel) or not isinstance(level, Sequence)
+        levels = [level] if one else level
         make = partial(_rows_of, level)
-        return _sliced(make, given, num_envs, threads, processes, **kwargs)
+        return _sliced(make, levels, num_envs, threads, processes, **kwargs)  # type: ignore[arg-type]
     if isinstance(level, str):
         found, name = find_level(level)
         return found.make_batch(name, num_envs, **kwargs)

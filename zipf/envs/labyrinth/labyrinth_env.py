@@ -78,7 +78,8 @@ class LabyrinthEnv(SingleEnv):
     skymazes also with the `_v2` that the paper adds. These are single tasks. The benchmark's levels
     draw a task at every reset, and no observation names it: `forward_zipf` by Zipf's law in the
     order of `LEVELS`, `reversed_zipf` in the reversed order, `uniform` evenly, `forward_rare` and
-    `reversed_rare` evenly among the rarest fifth, and `zipf<exponent>` by another exponent.
+    `reversed_rare` evenly among the rarest fifth, `forward_validation` and `reversed_validation`,
+    ours, among the middle fifth, and `zipf<exponent>` by another exponent.
 
     ## Arguments
 

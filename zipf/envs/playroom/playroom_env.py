@@ -93,14 +93,16 @@ class PlayroomEnv(SingleEnv):
 
     ## Levels
 
-    - `lift/lift_shape_*`: no furniture; `zipf2`, `zipf3`, `zipf4`, `uniform`, `uniform_rare`.
+    - `lift/lift_shape_*`: no furniture; `zipf2`, `zipf3`, `zipf4`, `uniform`, `uniform_rare`
+      and, ours, `validation`: the middle fifth.
     - `put/lift_shape_*`: the same with furniture; `zipf2`, `uniform`, `uniform_rare`, and with six
       toys (ours: how many is not published) `many_zipf1`, `many_zipf4`.
     - `put/put_near_bed_tray_frequent`, `put/put_on_bed_tray_frequent`: the 10 most frequent toys,
       all alike, or by Zipf's law with `frequent_exponent`. The paper says of putting that "we only
       trained on the most frequent 20%", and elsewhere that its exponent in training is 2.
-    - `put/put_on_bed_tray_all`, `put/put_on_bed_tray_rare`: all alike; the 10 rarest.
-    - `supervised/find_shape_*`: `zipf2`, `zipf3`, `uniform`, `uniform_rare`.
+    - `put/put_on_bed_tray_all`, `put/put_on_bed_tray_rare`, `put/put_on_bed_tray_validation`: all
+      alike; the 10 rarest; ours, the middle fifth.
+    - `supervised/find_shape_*`: `zipf2`, `zipf3`, `uniform`, `uniform_rare`, `validation`.
 
     ## Arguments
 
@@ -116,7 +118,7 @@ class PlayroomEnv(SingleEnv):
     - `max_steps`: after how many actions an episode is truncated.
     - `reach`: of the hand from the eye, 1.5 to 4 m. The paper does not give it.
     - `frequent_exponent`: of Zipf's law over the 10 most frequent toys, 0 to 10, in the levels
-      named `frequent`; 0 draws all alike. Other levels have it, too, and do not use it.
+      named `frequent`; 0 draws all alike. All other levels accept and ignore it.
     - `near_failure`: see above. Levels with other tasks have it, too, and do not use it.
     - `render_mode`: `"rgb_array"` (384 x 288, with the instruction) or None.
 

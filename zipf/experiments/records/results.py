@@ -111,7 +111,10 @@ def load_runs(folders: Iterable[str | Path]) -> list[Run]:
         try:
             around = next((one for one in (folder, *folder.parents) if record.is_there(one)), None)
             if around is None and not folder.is_dir():
-                raise UserError(f"{folder.as_posix()}: no such folder")
+                what = "is a file: give a run's folder, or one above it"
+                raise UserError(
+                    f"{folder.as_posix()}: {what if folder.is_file() else 'no such folder'}"
+                )
             records = [around] if around is not None else []
             records += [one for one in _folders_with(record.RUNS, folder) if one != around]
             for run in (run for one in records for run in load_record(one, folder)):

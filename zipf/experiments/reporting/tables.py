@@ -60,7 +60,8 @@ class ScoreTable:
     def baseline(self, name: str) -> dict[str, float]:
         """Score of a policy that does not learn by level kind, the first row's that has one;
         without those not known."""
-        return self.scores.groupby("level_kind", sort=False)[name].first().dropna().to_dict()
+        known = self.scores.groupby("level_kind", sort=False)[name].first().dropna()
+        return {str(kind): float(score) for kind, score in known.items()}
 
     def baseline_episodes(self, name: str) -> list[int]:
         """Over how many episodes a baseline was measured on each level, without those on which it
