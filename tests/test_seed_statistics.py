@@ -156,6 +156,15 @@ def test_success_in_each_rare_situation(tmp_path: Path) -> None:
     assert (low, high) == pytest.approx(tuple(np.quantile(means, [0.025, 0.975])), abs=0.03)
 
 
+def test_a_row_that_has_only_begun_has_no_rare_situations(tmp_path: Path) -> None:
+    lines = [f"{update},rare,18,{k},10,5,5.0" for update in (100, 300) for k in (18, 19)]
+    write_run(tmp_path, constant(0.5), situations=[SITUATIONS, *lines])
+    begun = [one.replace("100,", "0,", 1) for one in lines[:2]]
+    write_run(tmp_path, constant(0.1), condition="r2d2", situations=[SITUATIONS, *begun])
+    text = shown(tmp_path)
+    assert "| IMPALA | 0.50 | 0.50 | 0.50 |" in text
+
+
 def test_one_seed_has_no_interval(tmp_path: Path) -> None:
     lines = [
         f"{update},rare,18,{k},10,{won},{won}.0"

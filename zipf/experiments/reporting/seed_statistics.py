@@ -252,7 +252,7 @@ def success_by_situation(row: Row, table: ScoreTable) -> pd.DataFrame:
             for name, won, played in summed.itertuples()
         }
     found = pd.DataFrame.from_dict(lines, orient="index")
-    return pd.DataFrame() if found.isna().any(axis=None) else found
+    return pd.DataFrame() if found.empty or found.isna().any(axis=None) else found
 
 
 def bootstrap_of_situations(found: pd.DataFrame) -> tuple[float, float, float]:
