@@ -176,8 +176,7 @@ def learning(task: Task, runs: dict[str, list[Run]]) -> Figure:
         for name, agent in task.agents.items():
             for k, run in enumerate(runs[name]):
                 scores = run.mean_scores(run.description.levels_of(kind))
-                there = run.description.pretrained
-                frames = scores["frames"] + (there.frames if there else 0)
+                frames = scores["frames"] + run.frames_before
                 (drawn,) = axis.plot(frames / 1e6, scores["score"], agent.line, color=agent.colour)
                 drawn.set_label(label(task, name) if k == 0 else "")
         finish(axis, task, kind, KIND_NAMES[kind])

@@ -186,16 +186,10 @@ def _before(run: Run) -> float:
     if there is None:
         return 0.0
     folder = RESULTS / there.experiment / there.condition / f"seed{there.seed}"
-    found = [one for one in _all_runs() if one.folder == folder]
-    if not found or _learned(found[0]) != there.frames:  # a later run may have its name
-        return nan
-    return found[0].seconds / 3600 + _before(found[0])
-
-
-def _learned(run: Run) -> int:
-    """The frames of a run and of those that it began with."""
-    began = run.description.pretrained
-    return run.frames + (began.frames if began else 0)
+    for one in _all_runs():  # a later run may have its name
+        if one.folder == folder and one.frames + one.frames_before == there.frames:
+            return one.seconds / 3600 + _before(one)
+    return nan
 
 
 def _levels(folder: str) -> list[dict[str, Any]]:

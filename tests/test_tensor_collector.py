@@ -364,18 +364,25 @@ def test_a_run_on_the_device_is_resumed_bit_for_bit(tmp_path):
     assert metrics_of(whole.folder)["episode_length"].notna().all()
 
 
+def moves(chosen, plan, capsys):
+    """A run whose envs are stepped here and there, up to these updates: where, what is said, and
+    what its checkpoint has of the envs."""
+    for updates, where in plan:
+        config = loading.load([*chosen, f"updates={updates}", f"collector.envs={where}"])
+        assert runner.train(config) == 0
+        shown = capsys.readouterr()
+        source = checkpoint.load(config.folder / "checkpoint.pt")["source"]
+        yield updates, where, shown.out + shown.err, source
+
+
 def test_a_run_goes_on_on_the_host_and_back(tmp_path, capsys):
     """With its weights, visits and counts, and with new episodes, and says so."""
     chosen = [*TINY, "device=cpu", "evaluation.episodes=2", "exploration=count",
               f"run_root={tmp_path}"]  # fmt: skip
     met = []
-    for updates, where in ((2, "host"), (4, "device"), (6, "host")):
-        config = loading.load([*chosen, f"updates={updates}", f"collector.envs={where}"])
-        assert runner.train(config) == 0
-        shown = capsys.readouterr()
-        said = f"envs are stepped on the {where} now"
-        assert (said in shown.out + shown.err) == (updates > 2)
-        source = checkpoint.load(config.folder / "checkpoint.pt")["source"]
+    plan = (2, "host"), (4, "device"), (6, "host")
+    for updates, where, said, source in moves(chosen, plan, capsys):
+        assert (f"envs are stepped on the {where} now" in said) == (updates > 2)
         if where == "device":
             visits = source["tally"]["visits"]
             table = source["tensor_envs"]["hooks"]["exploration"]["visits"]
@@ -393,12 +400,9 @@ def test_a_replay_is_left_behind_where_envs_move(tmp_path, capsys):
     chosen = [*TINY, *R2D2, "agent.storage=ram", "device=cpu", "evaluation.episodes=2",
               f"run_root={tmp_path}"]  # fmt: skip
     episodes = []
-    for updates, where in ((3, "host"), (6, "device"), (9, "host")):
-        config = loading.load([*chosen, f"updates={updates}", f"collector.envs={where}"])
-        assert runner.train(config) == 0
-        shown = capsys.readouterr()
-        assert ("the replay was left behind" in shown.out + shown.err) == (updates > 3)
-        source = checkpoint.load(config.folder / "checkpoint.pt")["source"]
+    plan = (3, "host"), (6, "device"), (9, "host")
+    for updates, where, said, source in moves(chosen, plan, capsys):
+        assert ("the replay was left behind" in said) == (updates > 3)
         if where == "host":
             episodes.append(source["collector"]["environment"]["streams"])
     assert not np.array_equal(*episodes)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from zipf.envs.arguments import unknown
 from zipf.envs.baselines import BaselineScore
-from zipf.envs.splits import Level, Split, SplitLevel, level_name
+from zipf.envs.splits import Level, Levels, Split, SplitLevel, level_name, split_levels
 from zipf.options import Options
 from zipf.protocol import BASELINE_NAMES
 
@@ -349,10 +349,8 @@ def make_vec(
         ValueError: for an unknown level, or options out of range.
     """
     if threads != 1 or processes is not None:
-        one = isinstance(level, str | SplitLevel) or not isinstance(level, Sequence)
-        levels = [level] if one else level
         make = partial(_rows_of, level)
-        return _sliced(make, levels, num_envs, threads, processes, **kwargs)  # type: ignore[arg-type]
+        return _sliced(make, level, num_envs, threads, processes, **kwargs)
     if isinstance(level, str):
         found, name = find_level(level)
         return found.make_batch(name, num_envs, **kwargs)
@@ -370,7 +368,7 @@ def make_vec(
 
 def _sliced(
     make: Callable[..., ZipfVectorEnv],
-    levels: Sequence[Level | SplitLevel],
+    levels: Levels,
     num_envs: int,
     threads: int,
     processes: int | None,
@@ -384,7 +382,7 @@ def _sliced(
         raise ValueError(f"threads={threads}, processes={processes}: give one of them")
     from zipf.envs.processes import Processes
 
-    named = (one.level if isinstance(one, SplitLevel) else one for one in levels)
+    named = (one.level for one in split_levels(levels))
     found = (find_level(one)[0] for one in named if isinstance(one, str))
     registered = {one.name: one for one in found if one.name not in OURS}
     make = partial(_made_of, tuple(registered.values()), make)

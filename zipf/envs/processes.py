@@ -252,17 +252,20 @@ def work(pipe: int, memory: int) -> None:
             message = ours.recv_bytes()
         except (EOFError, OSError):
             return
-        try:
-            asked = pickle.loads(message)
-        except Exception as error:
-            reply = _failure(ValueError(f"not to be had in another process: {error}"))
-        else:
-            try:
-                reply = pickle.dumps((True, worker.call(*asked)), -1)
-            except Exception as error:
-                reply = _failure(error)
+        reply = _reply(worker, message)
         with contextlib.suppress(OSError):  # nobody waits for it any more
             ours.send_bytes(reply)
+
+
+def _reply(worker: _Worker, message: bytes) -> bytes:
+    try:
+        asked = pickle.loads(message)
+    except Exception as error:
+        return _failure(ValueError(f"not to be had in another process: {error}"))
+    try:
+        return pickle.dumps((True, worker.call(*asked)), -1)
+    except Exception as error:
+        return _failure(error)
 
 
 def _failure(error: Exception) -> bytes:

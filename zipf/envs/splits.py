@@ -154,7 +154,7 @@ class Split:
 
     def __post_init__(self) -> None:
         for kind in KINDS:
-            levels = _split_levels(getattr(self, kind))
+            levels = split_levels(getattr(self, kind))
             names = [one.name for one in levels]
             if not names and kind == "train":
                 raise ValueError(f"split {self.name!r} has no train level")
@@ -205,6 +205,7 @@ class Split:
         return tuple(level for kind in KINDS for level in self.levels(kind))
 
 
-def _split_levels(given: Levels) -> tuple[SplitLevel, ...]:
+def split_levels(given: Levels) -> tuple[SplitLevel, ...]:
+    """One level or several, as a split holds them."""
     levels = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
     return tuple(one if isinstance(one, SplitLevel) else SplitLevel(one) for one in levels)

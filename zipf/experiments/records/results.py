@@ -61,6 +61,12 @@ class Run:
     _means: dict[Any, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)
 
     @property
+    def frames_before(self) -> int:
+        """The frames of the run whose weights this one began with, and of those before that."""
+        there = self.description.pretrained
+        return there.frames if there else 0
+
+    @property
     def label(self) -> str:
         """The run's folder, as messages show it."""
         return self.folder.as_posix()

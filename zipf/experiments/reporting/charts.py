@@ -234,8 +234,7 @@ def learning_curves(table: ScoreTable, looks: Looks, across: str = "") -> Chart 
 def _curve(run: Run, levels: Any, external: bool) -> pd.DataFrame:
     """A run's scores, with the frames of the run whose weights it began with."""
     means = run.mean_scores(levels)
-    there = run.description.pretrained
-    frames = means["frames"] + (there.frames if there else 0)
+    frames = means["frames"] + run.frames_before
     return means.assign(frames=frames, **({"seconds": math.nan} if external else {}))
 
 
@@ -293,8 +292,7 @@ def window_ends(table: ScoreTable, time: str) -> tuple[float, float] | None:
         return (table.window.start, min(table.window.end, max(last, 1)))
     ends = set()
     for run in own:
-        there = run.description.pretrained
-        frames = evaluations_inside(run, table.window)["frames"] + (there.frames if there else 0)
+        frames = evaluations_inside(run, table.window)["frames"] + run.frames_before
         if len(frames):
             ends.add((frames.min(), frames.max()))
     return ends.pop() if len(ends) == 1 else None

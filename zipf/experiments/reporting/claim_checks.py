@@ -9,13 +9,12 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from typing import Literal
 
-import numpy as np
 import pandas as pd
 
 from zipf.experiments.records.paper import paper_table
 from zipf.experiments.records.wording import NONE, PROTOCOL_SEEDS, count_text, updates_text
 from zipf.experiments.reporting.comparable import Row
-from zipf.experiments.reporting.scores import seed_means
+from zipf.experiments.reporting.scores import floor, seed_means
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import UpdateWindow
 
@@ -75,13 +74,13 @@ def results_of(table: ScoreTable) -> Results:
             column = levels.name or levels.level_kind
             by_seed[row.condition, column] = seed_means(row, levels, table.window)
     measured = {}
-    for line in scores.to_dict("records"):
+    for line in scores.assign(floor=floor(scores)).to_dict("records"):
         place = line["condition"], line["level"] or line["level_kind"]
         measured[place] = Measured(
             float(line["score"]),
             int(line["seeds"]),
             int(line["episodes"]),
-            float(np.fmax(line["chance"], line["blind"])),
+            float(line["floor"]),
             by_seed[place],
         )
     experiment = table.description.paper

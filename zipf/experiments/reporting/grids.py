@@ -24,7 +24,7 @@ from zipf.experiments.records.wording import (
 from zipf.experiments.reporting.claim_checks import LEARNED
 from zipf.experiments.reporting.claims import PUBLISHED_WINDOWS, ClaimLine
 from zipf.experiments.reporting.comparable import PaperRow, Row
-from zipf.experiments.reporting.scores import other_statistic
+from zipf.experiments.reporting.scores import fewest_seeds, other_statistic
 from zipf.experiments.reporting.side_by_side import SideBySide
 from zipf.experiments.reporting.tables import ScoreTable
 from zipf.experiments.reporting.windows import OwnWindows, UpdateWindow, window_text
@@ -309,8 +309,7 @@ def _by_row(
         scores = frame[frame["row"] == row.key].set_index("column").reindex(list(columns))
         if scores["seeds"].isna().all():
             continue  # a row of another table than the columns'
-        counts = scores["seeds"][scores["seeds"] > 0]  # older runs lack kinds of levels
-        leading = [row.title, seeds_text(int(counts.min()) if len(counts) else 0)]
+        leading = [row.title, seeds_text(fewest_seeds(scores["seeds"]))]
         leading += [cells.get(row.key, NONE) for cells in budgets.values()]
         lines.append(_line(leading, scores))
     baselines = []

@@ -74,8 +74,12 @@ def score_frame(
     table shows it, and whether it is that of the last evaluation since none is inside the window.
     NaN is "none"."""
     runs = [run for row in rows for run in row.runs]
+    of_others = {name: known_baselines(runs, name) for name in BASELINE_NAMES}
     lines = []
     for row in rows:
+        baselines = {
+            name: known | known_baselines(row.runs, name) for name, known in of_others.items()
+        }
         for levels in groups:
             published = (
                 paper.score(row.condition, levels.name or levels.level_kind)
@@ -104,7 +108,7 @@ def score_frame(
                     "spread": row.runs[0].description.spread,
                     "paper_value": published.value if published else np.nan,
                     "paper_error": error if error is not None else np.nan,
-                    **_baselines([*row.runs, *runs], levels),
+                    **_baselines(baselines, levels, capped=_capped(runs[0], levels)),
                     "window": ", ".join({str(window_of(run, window)): run for run in row.runs}),
                 }
             )
@@ -121,7 +125,10 @@ def _score(runs: Sequence[Run], levels: LevelGroup, window: Window) -> dict[str,
         "evaluations": min((len(rows) for rows in scored.values()), default=0),
         "episodes": min((rows["episodes"].min() for rows in scored.values()), default=0),
         "updates": min((rows["update"].max() for rows in scored.values()), default=pd.NA),
-        "frames": min((_frames(run, rows) for run, rows in scored.items()), default=pd.NA),
+        "frames": min(
+            (run.frames_before + rows["frames"].max() for run, rows in scored.items()),
+            default=pd.NA,
+        ),
     }
     if not scored:
         measured = dict.fromkeys(("score", "error", "plain_score", "plain_error"), np.nan)
@@ -130,13 +137,6 @@ def _score(runs: Sequence[Run], levels: LevelGroup, window: Window) -> dict[str,
     else:
         measured = _across_tasks(scored, levels)
     return effort | {"capped_score": np.nan, "capped_error": np.nan} | measured
-
-
-def _frames(run: Run, evaluations: pd.DataFrame) -> int:
-    """How many the run had learned from at the last of these evaluations, with those of the run
-    whose weights it began with."""
-    began = run.description.pretrained
-    return int(evaluations["frames"].max()) + (began.frames if began else 0)
 
 
 def means_inside(run: Run, levels: LevelGroup, window: Window) -> pd.DataFrame:
@@ -203,20 +203,36 @@ def known_baselines(runs: Sequence[Run], name: str) -> dict[tuple[str, str], Bas
     return known
 
 
-def _baselines(runs: Sequence[Run], levels: LevelGroup) -> dict[str, float]:
-    """For each baseline the first known values of each level, averaged by their weights, with the
+def _baselines(
+    baselines: Mapping[str, Mapping[tuple[str, str], BaselineDescription]],
+    levels: LevelGroup,
+    *,
+    capped: bool,
+) -> dict[str, float]:
+    """For each baseline its `known_baselines` on each level, averaged by their weights, with the
     same weights and capped; NaN where a level's is not known."""
     weights = list(levels.weights.values())
     found = {}
-    for name in BASELINE_NAMES:
-        known = known_baselines(runs, name)
+    for name, known in baselines.items():
         places = ((levels.level_kind, one) for one in levels.weights)
         values = np.array([known[one].score if one in known else np.nan for one in places])
         found[name] = weighted_mean(values, weights)
         found[f"plain_{name}"] = weighted_mean(values, np.ones(len(values)))
-        capped = np.minimum(values, CAP) if _capped(runs[0], levels) else values * np.nan
-        found[f"capped_{name}"] = weighted_mean(capped, weights)
+        values = np.minimum(values, CAP) if capped else values * np.nan
+        found[f"capped_{name}"] = weighted_mean(values, weights)
     return found
+
+
+def floor(scores: pd.DataFrame) -> pd.Series:
+    """The higher one of chance and blind, of lines of `score_frame`; NaN where neither is known."""
+    return scores[["chance", "blind"]].astype(float).max(axis=1)
+
+
+def fewest_seeds(seeds: pd.Series) -> int:
+    """Of the numbers of seeds that a row's scores have: 0 only where there is no score. Runs of
+    before lack kinds of levels."""
+    counts = seeds[seeds > 0]
+    return int(counts.min()) if len(counts) else 0
 
 
 def other_statistic(scores: pd.DataFrame, mean: str) -> pd.DataFrame:

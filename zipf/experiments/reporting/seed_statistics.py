@@ -18,6 +18,7 @@ from zipf.experiments.records.wording import KIND_NAMES, NONE, count_text, score
 from zipf.experiments.reporting.claim_checks import LEARNED
 from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.grids import Grid, Line
+from zipf.experiments.reporting.scores import fewest_seeds, floor
 from zipf.experiments.reporting.statistics import (
     FEWEST_SEEDS,
     RESAMPLES,
@@ -110,8 +111,7 @@ def above_floor(table: ScoreTable, levels: LevelGroup) -> set[str]:
     """The keys of the rows that are at least `LEARNED` above chance and blind on a kind of levels;
     of all where neither is known."""
     scores = table.scores[table.scores["level_kind"] == levels.level_kind]
-    floor = np.fmax(scores["chance"], scores["blind"])
-    return set(scores["row"][~(scores["score"] < floor + LEARNED)])
+    return set(scores["row"][~(scores["score"] < floor(scores) + LEARNED)])
 
 
 def seed_statistics(table: ScoreTable) -> SeedStatistics:
@@ -312,9 +312,7 @@ def _met(visits: pd.Series, episodes: pd.Series, least: str) -> str:
 
 
 def _seeds(table: ScoreTable, row: Row) -> int:
-    """The fewest of any kind of levels that the row has a score of."""
-    counts = table.scores[table.scores["row"] == row.key]["seeds"]
-    return int(counts[counts > 0].min()) if (counts > 0).any() else 0
+    return fewest_seeds(table.scores[table.scores["row"] == row.key]["seeds"])
 
 
 def _texts(found: pd.DataFrame) -> dict[str, str]:

@@ -89,11 +89,14 @@ class TensorCollector(Collector):
         sizes = int(np.prod(list(self.ranks.values())))
         self.met = torch.zeros(sizes, dtype=torch.int64, device=self.device)
         self._one = torch.ones(env.num_envs, dtype=torch.int64, device=self.device)
-        self.begin_episodes(seed)
+        self._show_first()
 
     def begin_episodes(self, seed: int) -> None:
         """Begins new episodes in all envs; the seed is of all that is drawn."""
         self.env.reset(seed)
+        self._show_first()
+
+    def _show_first(self) -> None:
         _copy(self._buffers.shown(self.unroll_length), self.env.observe())
         self._show(self._buffers, self.unroll_length, self._one.bool())
 
