@@ -234,7 +234,7 @@ MISTAKES = [
     (["experiment=demo", "seeed=1"], ["seeed", "seed"]),
     (["experiment=demo", "foo"], ["foo", "option=value"]),
     (["experiment=demo", "seed=-1"], ["seed=-1", "greater than or equal to 0"]),
-    (["experiment=demo", "updates=many"], ["updates=many", "integer"]),
+    (["experiment=demo", "updates=many"], ["updates=many", "whole number"]),
     (["experiment=demo", "updates=0"], ["updates=0", "greater"]),
     (["experiment=demo", "agent.learning_rate=fast"], ["agent.learning_rate=fast", "number"]),
     (["experiment=demo", "precision=half"], ["precision=half", "auto", "bfloat16"]),
@@ -303,6 +303,8 @@ MISTAKES = [
     (["experiment=demo", "run_root="], ["run_root=: should not be empty"]),
     (["gridworld"], ["environment=gridworld or experiment=gridworld?"]),
     (["experiment=demo", 'updates="1'], ["check its quotes"]),
+    (["experiment=demo", "seed=range(3"], ["check its quotes and brackets"]),
+    (["experiment=demo", "collector.envs_per_update=7"], ["should divide collector.num_envs=256"]),
     (["experiment=demo", "experiment=gridworld"], ["choose one", "experiment=demo,gridworld"]),
     (["experiment=demo", f"run_root={'x' * 300}"], ["run_root=", "File name too long"]),
     (["experiment=demo", 'run_root="~no-such/x"'], ["run_root=~no-such/x", "home directory"]),
@@ -403,7 +405,8 @@ def test_options_of_other_worlds_are_told_one_by_one():
     with pytest.raises(UserError) as error:
         loading.load(["experiment=labyrinth_compact", "environment.split=gridworld"])
     assert str(error.value).splitlines() == [
-        f"environment.{option}: the envs of split=gridworld have no such option"
+        f"environment.{option}: the envs of split=gridworld have no such option; "
+        "experiment=labyrinth_compact, which is for other envs, sets it: choose another experiment"
         for option in ("backend", "image_size", "num_actions", "action_repeat")
     ]
 

@@ -104,6 +104,25 @@ def test_a_mistake_in_the_command_is_one_line(words, told, monkeypatch, capsys):
     assert told in said.err
 
 
+@pytest.mark.parametrize(
+    ("module", "words", "told"),
+    [
+        (zipf.evaluate, ["."], ".: not of the form option=value; did you mean run=.?"),
+        (zipf.evaluate, ["seed=1", "seed=2"], "seed=1 and seed=2: choose one"),
+        (zipf.evaluate, ["episodes=1e3"], "episodes=1e3: should be a whole number"),
+        (zipf.play, ["levl=a"], "levl: no such option; did you mean level?"),
+        (zipf.report, ["run=here"], "run=here: folders have no name here: python -m zipf.report"),
+    ],
+)
+def test_a_mistake_in_a_small_command_is_one_line(module, words, told, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [module.__name__, *words])
+    with contextlib.suppress(SystemExit):
+        assert module.main() == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1)
+    assert told in said.err
+
+
 @pytest.mark.parametrize("module", [*OPTIONS, zipf.train], ids=lambda m: m.__name__)
 def test_every_command_tells_its_version(module, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [module.__name__, "--version"])

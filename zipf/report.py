@@ -352,6 +352,10 @@ def _report(words: list[str]) -> None:
 
     named = [word for word in words if word.startswith("-") or re.match(r"[a-z_]\w*=", word, re.I)]
     folders = [word for word in words if word not in named]
+    for word in named:
+        name, _, folder = word.partition("=")
+        if name in ("run", "runs"):
+            raise UserError(f"{word}: folders have no name here: python -m zipf.report {folder}")
     options = read_options(ReportOptions, named)
     if not folders:
         raise UserError("name a run's folder, or one with runs at any depth, such as runs/")

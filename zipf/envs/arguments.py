@@ -97,11 +97,13 @@ def own_engine(family: str) -> Callable[[Any], Any]:
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> ValueError:
-    """The error for a name that there is not: says the nearest of the known ones, and all."""
+    """The error for a name that there is not: says the nearest of the known ones, and the first
+    twenty."""
     known = list(known)
     nearest = difflib.get_close_matches(name, known, n=2, cutoff=0.4)
     hint = f" (did you mean {' or '.join(map(repr, nearest))}?)" if nearest else ""
-    return ValueError(f"unknown {kind} {name!r}{hint}: expected one of {', '.join(known)}")
+    shown = ", ".join(known[:20]) + (f" and {len(known) - 20} more" if len(known) > 20 else "")
+    return ValueError(f"unknown {kind} {name!r}{hint}: expected one of {shown}")
 
 
 def reset_options(value: Any, known: Collection[str]) -> Mapping[str, Any]:

@@ -239,6 +239,7 @@ def _no_parts(config: Config) -> Iterator[str]:
     option, num_envs = f"collector.envs_per_update={envs_per_update}", config.collector.num_envs
     if num_envs % envs_per_update:
         yield f"{option}: should divide collector.num_envs={num_envs}"
+        return
     if envs_per_update % config.learners:
         yield (
             f"{option}: should be a multiple of runtime.learners={config.learners}, which share "

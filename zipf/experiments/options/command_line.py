@@ -7,7 +7,7 @@ import difflib
 import json
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Any, NoReturn, TypeVar
 
 from hydra._internal.utils import get_args_parser
@@ -177,15 +177,20 @@ def read_options(options_class: type[AnyOptions], arguments: list[str]) -> AnyOp
         UserError: with one line for every unknown, missing or mistyped option.
     """
     accepted = list(options_class.model_fields)
-    problems, values = [], {}
+    problems: list[str] = []
+    values: dict[str, str] = {}
     for argument in arguments:
         name, equals, value = argument.partition("=")
         if argument.startswith("-"):
             problems.append(without_dashes(argument))
         elif not equals:
-            problems.append(f"{argument}: not of the form option=value")
+            folder = "run" in accepted and Path(argument).is_dir()
+            hint = f"; did you mean run={argument}?" if folder else ""
+            problems.append(f"{argument}: not of the form option=value{hint}")
         elif name not in accepted:
             problems.append(f"{name}: no such option; {nearest(name, accepted)}")
+        elif name in values:
+            problems.append(f"{name}={values[name]} and {argument}: choose one")
         else:
             values[name] = value
     try:
@@ -296,8 +301,9 @@ def _advice(parser: OverridesParser, text: str) -> str:
         hint = f"; did you mean {' or '.join(found)}?" if found else ""
         return f"{shown}: not of the form option=value{hint}"
     quoted = f'{name}="{value}"'
+    balanced = all(value.count(a) == value.count(b) for a, b in ("()", "[]", "{}"))
     try:
-        if parser.parse_override(quoted).value() == value:
+        if balanced and parser.parse_override(quoted).value() == value:
             return f"{shown}: needs quotes within quotes: '{quoted}'"
     except HydraException:
         pass
@@ -406,6 +412,7 @@ _IN_WORDS = {
     LINE_PATTERN: "should be one line",
     DEVICE_PATTERN: "should be auto, cpu, cuda or cuda:<number>",
     "string_type": "should be text (quote it if it looks like a number)",
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "should be a whole number"),
     "list_type": "should be a list in square brackets, such as [1,2]",
     "tuple_type": "should be a list in square brackets, such as [1,2]",
     "string_too_short": "should not be empty",
@@ -435,7 +442,10 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
             group = str(problem["loc"][0])
             chosen = values.get(group)
             if group == "environment" and isinstance(chosen, dict) and "split" in chosen:
-                yield f"{name}: the envs of split={chosen['split']} have no such option"
+                yield (
+                    f"{name}: the envs of split={chosen['split']} have no such option"
+                    + _experiments_own(name, values)
+                )
             else:
                 yield f"{name}: no such option here"
         else:
@@ -445,6 +455,14 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
             shown = str(problem["input"])
             shown = repr(shown) if len(shown.splitlines()) > 1 else shown
             yield f"{name}={shown:.200}: {message}"
+
+
+def _experiments_own(option: str, values: dict[str, Any]) -> str:
+    """What to do about an option of other envs that the experiment sets, not the user."""
+    chosen = f"experiment={values['experiment']}"
+    if option not in flatten(composed(chosen).values):
+        return ""
+    return f"; {chosen}, which is for other envs, sets it: choose another experiment"
 
 
 def row_name(composed: Composed) -> RowName:

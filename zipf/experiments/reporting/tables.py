@@ -321,6 +321,6 @@ def _pretrained_notes(runs: Sequence[Run]) -> list[str]:
             alike.setdefault((where, other, frames), []).append(seed)
     return [
         f"{seeds_list(seeds).capitalize()} of {runs[0].description.row.title} began with the "
-        f"{where}, {other}, trained on {frames} frames, which are not counted here."
+        f"{where}, {other}, trained on {frames} frames, which are counted here, too."
         for (where, other, frames), seeds in alike.items()
     ]
