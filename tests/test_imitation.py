@@ -213,6 +213,7 @@ def test_it_is_scored_by_its_likeliest_actions():
     sampled, _, _ = agent.act(inputs, {}, generator)
     assert not torch.equal(sampled, scored)
     agent.options = agent.options.model_copy(update={"likeliest": False})
-    again, _, _ = agent.act(inputs, {}, torch.Generator().manual_seed(0), training=False)
+    again, _, known = agent.act(inputs, {}, torch.Generator().manual_seed(0), training=False)
     assert torch.equal(again, agent.act(inputs, {}, torch.Generator().manual_seed(0))[0])
     assert not torch.equal(again, scored)
+    assert torch.equal(known["logits"].argmax(-1), scored)  # what `deterministic=True` takes

@@ -88,13 +88,13 @@ class Imitation(Learner):
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
         """Actions in each of B envs, int64 [B]: samples, or the likeliest ones (`likeliest`) where
-        it does not train."""
+        it does not train, and there with the `logits`."""
         with self.autocast():
             outputs, _, memory = self.actor(inputs.unsqueeze(), memory)
         logits = outputs[0]
         draws = training or not self.options.likeliest
         action = sampled(logits, generator) if draws else logits.argmax(-1)
-        return action, memory, {}
+        return action, memory, {} if training else {"logits": logits}
 
     def loss(self, unroll: Unroll) -> Loss:
         """The loss of the unroll's first T rows.
