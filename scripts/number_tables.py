@@ -41,6 +41,7 @@ class Agent(NamedTuple):
     folder: str
     command: str
     readme: str | None = None
+    situations: bool = False
 
 
 class Task(NamedTuple):
@@ -118,7 +119,7 @@ def _weights(agent: Agent) -> list[str]:
 
 
 def best() -> list[str]:
-    """The lines of README's table: rows with three seeds, and no baseline but blind."""
+    """The lines of README's table: rows with a title for it, and no baseline but blind."""
     rows: list[tuple[str, ...]] = []
     for task in TASKS.values():
         shown = [agent for agent in task.agents if agent.readme]
@@ -216,8 +217,8 @@ def _row(folder: str) -> tuple[ScoreTable, Row]:
 
 
 def situations() -> list[str]:
-    """Success of the best agents of the gridworld in each rare situation, by seed."""
-    agents = [TASKS["gridworld"].agents[place] for place in (2, 4, 6)]
+    """Success in each of the gridworld's rare situations, by seed, of the marked agents."""
+    agents = [agent for agent in TASKS["gridworld"].agents if agent.situations]
     found = {agent: success_by_situation(*reversed(_row(str(agent.folder)))) for agent in agents}
     names = sorted({name for rates in found.values() for name in rates.columns})
     rows = [

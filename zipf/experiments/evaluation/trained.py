@@ -86,7 +86,8 @@ class TrainedAgent:
             is_first: bool or [N], where this observation is the first of an episode; there the
                 memory is cleared. After a step of a vector environment that resets in the same
                 step, as those of `zipf.make_vec` do, that is `terminated | truncated`.
-            deterministic: take the most probable action; otherwise one is drawn.
+            deterministic: take the most probable action; otherwise as the agent is scored, which
+                mostly draws one.
 
         Returns:
             int for one environment, int64 [N] for N.
