@@ -106,14 +106,6 @@ def sweeps() -> list[str]:
     )
 
 
-def choices() -> list[str]:
-    groups = [group for group in composing.groups() if group not in ("experiment", "condition")]
-    return markdown(
-        ("Group", "Choices"),
-        ((code(group), ", ".join(map(code, composing.choices(group)))) for group in groups),
-    )
-
-
 def modules(package: str) -> list[str]:
     """The modules of a package, each with the first paragraph of its docstring."""
     rows = []
@@ -152,7 +144,6 @@ BLOCKS: dict[str, Callable[..., list[str]]] = {
     "experiments": experiments,
     "conditions": conditions,
     "sweeps": sweeps,
-    "choices": choices,
     "modules": modules,
     "file": file,
     "glossary": glossary,

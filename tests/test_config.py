@@ -3,6 +3,7 @@
 import re
 from itertools import product
 from pathlib import Path
+from typing import Literal
 
 import pytest
 import torch
@@ -14,11 +15,13 @@ from zipf import envs
 from zipf.agents import Agent
 from zipf.agents.encoders import Encoder
 from zipf.agents.impala import Impala
+from zipf.agents.memory import MEMORIES, MLPMemory, MLPOptions
 from zipf.envs.gridworld import GridworldOptions
 from zipf.errors import UserError
 from zipf.experiments.building import feasibility, loading
 from zipf.experiments.options import command_line, config_files, schema
 from zipf.experiments.sweeping import sweeps
+from zipf.options import Options, Size
 
 EXPERIMENTS = command_line.choices("experiment")
 LIFT = "experiment=playroom_lift_compact"
@@ -309,8 +312,8 @@ MISTAKES = [
     (["experiment=demo", f"run_root={'x' * 300}"], ["run_root=", "File name too long"]),
     (["experiment=demo", 'run_root="~no-such/x"'], ["run_root=~no-such/x", "home directory"]),
     (["experiment=demo", "memory.size=1000000000"], ["memory.size=1000000000", "at most 65536"]),
-    (["experiment=demo", "memory.size=65536", "memory.layers=60"], ["memory.size", "of RAM"]),
-    (["experiment=demo", "memory=lstm", "memory.layers=60000"], ["memory.size", "too many"]),
+    (["experiment=demo", "memory.size=65536", "memory.layers=60"], ["memory=mlp", "of RAM"]),
+    (["experiment=demo", "memory=lstm", "memory.layers=60000"], ["memory=lstm", "too many"]),
     (
         ["experiment=playroom_lift_compact", "network.strides=[4,2,1]"],
         ["network.strides=[4, 2, 1]: should have as many numbers as network.channels"],
@@ -431,12 +434,35 @@ def test_the_agent_that_was_chosen_is_tried(monkeypatch):
     def refuse(self, options, setting):
         raise ValueError("this agent needs something else")
 
-    monkeypatch.setattr(feasibility, "_buildable", {})  # other tests have the same options
+    monkeypatch.setattr(feasibility, "_tried", {})  # other tests have the same options
     monkeypatch.setattr(Impala, "__init__", refuse)
     with pytest.raises(UserError, match=r"^this agent needs something else$"):
         loading.load(["experiment=demo", "agent.discount=0.5"])
     monkeypatch.setattr(Impala, "__init__", Agent.__init__)
     loading.load(["experiment=demo", "agent.discount=0.4", "network.patch=8"])
+
+
+def test_how_much_ram_is_free_is_asked_each_time(monkeypatch):
+    with monkeypatch.context() as context:
+        context.setattr(feasibility, "free_ram", lambda: 1000)
+        with pytest.raises(UserError, match=r"1\.0 kB are free"):
+            loading.load(["experiment=demo"])
+    loading.load(["experiment=demo"])
+
+
+def test_a_memory_needs_no_option_that_is_its_size(monkeypatch):
+    class WideOptions(Options):
+        name: Literal["wide"]
+        width: Size = 8
+
+    def build(options, inputs):
+        return MLPMemory(inputs, MLPOptions(name="mlp", size=options.width, layers=1))
+
+    monkeypatch.setitem(MEMORIES._options, "wide", WideOptions)
+    monkeypatch.setitem(MEMORIES._builds, "wide", build)
+    assert loading.load(["experiment=demo", "memory=wide"]).memory.width == 8
+    with pytest.raises(UserError, match=r"^memory\.width=70000: should be at most 65536$"):
+        loading.load(["experiment=demo", "memory=wide", "memory.width=70000"])
 
 
 @pytest.mark.parametrize(

@@ -187,7 +187,11 @@ def test_files_in_hydras_layout_are_told_their_places(folder):
         ("memory.yaml", "bad: [\n", "memory.yaml: is not a configuration: while parsing"),
         ("experiments/bad.yaml", "- 1\n", "bad.yaml:1: should be options"),
         ("experiments/bad.yaml", "like: bad\n", "bad.yaml:1: like: bad would be like itself"),
-        ("experiments/bad.yaml", "like: demo\nchoose: {memry: mlp}\n", "memry"),
+        (
+            "experiments/bad.yaml",
+            "like: demo\nchoose: {memry: mlp}\n",
+            "bad.yaml:2: choose: memry is no group; should be one of agent, memory, ",
+        ),
         ("experiments/bad.yaml", "like: dmo\n", "dmo"),
         ("experiments/bad.yaml", "like: [demo]\n", "bad.yaml:1: like: should be the name of an"),
         ("experiments/bad.yaml", "choose: mlp\n", "bad.yaml:1: choose: should be names of"),

@@ -115,7 +115,7 @@ def test_what_a_policy_was_trained_with_must_be_what_it_plays():
     ):
         played(policy)
     policy.env_options = {"num_toys": 20}
-    with pytest.raises(ValueError, match="and gridworld/rare has no num_toys"):
+    with pytest.raises(ValueError, match="and gridworld/zipf_2 has no num_toys"):
         played(policy)
 
 

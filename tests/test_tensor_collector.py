@@ -15,6 +15,7 @@ from zipf import envs
 from zipf.agents.capture import CaptureFailed
 from zipf.agents.learner import Learner
 from zipf.agents.unroll import changed
+from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.hooks.augmentation import RandomAugmentation
@@ -425,6 +426,16 @@ def test_a_stored_memory_is_that_before_its_sequence():
     stored = agent.replay._items["memory"][: 3 * ENVS]
     for k in range(3):  # a run's first unroll has no burn-in, and is not stored
         assert_equal(stored[k * ENVS : (k + 1) * ENVS].to_dict(), late[k])
+
+
+def test_envs_without_a_tensor_form_are_named(tmp_path):
+    where = ["collector.envs=device", "device=cpu", f"run_root={tmp_path}"]
+    with pytest.raises(UserError) as error:
+        loading.load(["experiment=playroom_lift_compact", *where])
+    assert str(error.value) == (
+        "collector.envs=device: environment.split=playroom_lift takes envs on the host; choose "
+        "host or auto"
+    )
 
 
 @pytest.mark.parametrize(

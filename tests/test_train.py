@@ -342,6 +342,28 @@ def test_the_end_of_a_run_is_told(tmp_path, capsys):
     assert (folder / "train.log").read_text().endswith(f" {stopped}\n")
 
 
+def test_a_checkpoint_is_written_once(tmp_path, monkeypatch):
+    written = []
+    save = checkpoint.save
+
+    def spy(path, state):
+        written.append((path.name, state["update"]))
+        save(path, state)
+
+    monkeypatch.setattr(checkpoint, "save", spy)
+    given = [*TINY, "updates=4", "schedule.checkpoint_every=2", f"run_root={tmp_path}"]
+    assert runner.train(loading.load(given)) == 0
+    names = "checkpoint.pt", "checkpoint.pt", "weights.pt", "checkpoint.pt"
+    assert written == list(zip(names, (0, 2, 4, 4), strict=True))
+
+
+def test_a_run_leaves_the_process_as_it_was(tmp_path):
+    before = sys.getswitchinterval()
+    given = [*TINY, "updates=2", "collector.lag=1", f"run_root={tmp_path}"]
+    assert runner.train(loading.load(given)) == 0
+    assert sys.getswitchinterval() == before
+
+
 def test_resume_modes(trained, tmp_path):
     with pytest.raises(UserError, match="holds a run already"):
         runner.train(loading.load([*trained, "resume=never"]))

@@ -10,7 +10,7 @@ from zipf.errors import UserError, tell
 
 COMMANDS = {
     "train": "trains an agent and scores it as it learns; with -m a sweep",
-    "evaluate": "scores a trained agent, a scripted policy or a policy of yours",
+    "evaluate": "scores a trained agent or a scripted policy",
     "report": "makes tables, plots and a page of runs",
     "play": "shows an environment, played by you or by an agent",
 }

@@ -263,7 +263,11 @@ def _explain(asked: list[str], overrides: list[str]) -> None:
     from zipf.experiments.building import run_folder
     from zipf.experiments.options import explaining
 
-    folders = [word for word in asked if Path(word).is_dir() and word not in Config.model_fields]
+    folders = [
+        word
+        for word in asked
+        if ("/" in word or Path(word).is_dir()) and word not in Config.model_fields
+    ]
     parts = [word for word in asked if word not in folders]
     if len(folders) > 1 or len(parts) > 1:
         raise UserError(f"--explain {' '.join(asked):.200}: name one group or option, or one run")

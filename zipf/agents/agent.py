@@ -125,6 +125,8 @@ class Agent(ABC):
         captures: whether `act`, `value` and what an update computes are functions of tensors in
             fixed shapes, without waiting for the device, so that they can be captured as CUDA
             graphs, and the agent can learn from envs that are stepped on its device.
+        host_envs_only: whether something that it learns from, such as labels of a scripted teacher,
+            comes from envs that are stepped on the host.
         averages_gradients: whether it learns from the mean of several learners' gradients
             (`zipf.agents.averaging`), so that its state stays the same in all of them.
         answers_questions: whether it is a classifier, which answers a question about an episode's
@@ -142,6 +144,7 @@ class Agent(ABC):
     largest_lag: ClassVar[int] = 0
     learns_from_parts: ClassVar[bool] = False
     captures: ClassVar[bool] = False
+    host_envs_only: ClassVar[bool] = False
     averages_gradients: ClassVar[bool] = False
     answers_questions: ClassVar[bool] = False
     needs: Needs = Needs()
@@ -202,8 +205,9 @@ class Agent(ABC):
 
     @abstractmethod
     def update(self, unroll: Unroll) -> Mapping[str, float | Tensor]:
-        """One update from an unroll in RAM, which the next one overwrites; returns metrics to log,
-        numbers or tensors [], which the next update may overwrite.
+        """One update from an unroll, in RAM or, where envs are stepped there, on the device. The
+        next unroll overwrites it. Returns metrics to log, numbers or tensors [], which the next
+        update may overwrite.
 
         Raises:
             FloatingPointError: learning has diverged; no weights were changed.

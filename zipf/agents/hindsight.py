@@ -25,7 +25,9 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from zipf.agents.encoders import Encoder
+from zipf.agents.episodic import NO_EPISODIC
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, autocast
+from zipf.agents.network_options import MatchingOptions
 from zipf.options import Context, NotNegative, Options, Size
 
 
@@ -63,6 +65,26 @@ class AchievedOptions(Options):
             yield (
                 f"hindsight={self.name}: the envs of {context.family} do not say what an episode "
                 "asks for; choose hindsight=none"
+            )
+        episodic, network = context.chosen["episodic"], context.chosen["network"]
+        if self.kept_per_goal and episodic != NO_EPISODIC:
+            yield (
+                f"hindsight.kept_per_goal={self.kept_per_goal}: kept episodes would read their own "
+                f"rows from the dictionary of episodic={episodic.name}; choose null, or "
+                "episodic=none"
+            )
+        if not self.matching_cost:
+            return
+        option = f"hindsight.matching_cost={self.matching_cost}"
+        if not isinstance(network, MatchingOptions):
+            yield (
+                f"{option}: network={network.name} matches no images with instructions; choose 0, "
+                "or network=matching"
+            )
+        elif network.matcher == "fixed":
+            yield (
+                f"{option}: network.matcher=fixed learns nothing; choose 0, or "
+                "network.matcher=learned"
             )
 
     @overload

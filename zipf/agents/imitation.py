@@ -70,6 +70,7 @@ class Imitation(Learner):
 
     Options = ImitationOptions
     captures = True
+    host_envs_only = True  # its teacher is a script that reads them
     supports = frozenset({"auxiliary", "episodic", "hindsight", "reweighting"})
     largest_lag = 1  # labels do not depend on the weights that acted
     options: ImitationOptions
@@ -83,14 +84,12 @@ class Imitation(Learner):
     def make_network(self) -> Policy:
         return Policy(*self.spec.torso, episodic=self.spec.episodic)
 
-    @torch.no_grad()
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
         """Actions in each of B envs, int64 [B]: samples, or the likeliest ones (`likeliest`) where
         it does not train, and there with the `logits`."""
-        with self.autocast():
-            outputs, _, memory = self.actor(inputs.unsqueeze(), memory)
+        outputs, _, memory = self.forward_actor(inputs.unsqueeze(), memory)
         logits = outputs[0]
         draws = training or not self.options.likeliest
         action = sampled(logits, generator) if draws else logits.argmax(-1)

@@ -353,8 +353,7 @@ class R2D2(Learner):
     def _advance(self, steps: TensorDict, memory: State) -> State:
         """The memory after steps [rows, E], from that before them."""
         with self.autocast():
-            _, memory = self.network(Inputs.of(self._seen_steps(steps)), memory)
-        return memory
+            return self.network.remember(Inputs.of(self._seen_steps(steps)), memory)[-1]
 
     def loss(self, replayed: Replayed) -> Loss:
         """The loss of sequences from replay; keeps their new `priorities`, float32 [B]."""
@@ -391,8 +390,8 @@ class R2D2(Learner):
         target_memory = memory
         with torch.no_grad(), self.autocast():
             if self.options.burn_in:
-                _, target_memory = self.target(Inputs.of(prefix), memory)
-                _, memory = self.network(Inputs.of(prefix), memory)
+                *_, target_memory = self.target.remember(Inputs.of(prefix), memory)
+                *_, memory = self.network.remember(Inputs.of(prefix), memory)
             target_outputs, _ = self.target.outputs(inputs, target_memory)
         with self.autocast():
             outputs, _ = self.network.outputs(inputs, memory)

@@ -72,7 +72,6 @@ class Supervised(Learner):
             raise ValueError(f"a classifier chooses one of two answers, not of {network.actions}")
         return network
 
-    @torch.no_grad()
     def act(
         self, inputs: Inputs, memory: State, generator: torch.Generator, *, training: bool = True
     ) -> tuple[Tensor, State, dict[str, Tensor]]:
@@ -80,8 +79,7 @@ class Supervised(Learner):
         batch = len(inputs.is_first)
         if training:
             return torch.randint(2, (batch,), generator=generator), memory, {}
-        with self.autocast():
-            logits = self.actor(inputs.unsqueeze(), memory)
+        logits = self.forward_actor(inputs.unsqueeze(), memory)
         return logits[0].argmax(-1), memory, {}
 
     def loss(self, unroll: Unroll) -> Loss:

@@ -142,6 +142,9 @@ class Unroll:
         is_first: bool, row 0 and behind the end
         terminated: bool, the last step
         truncated: bool, False
+        region: float32 [L, E, 4], with a matching cost: the part of the image that the action
+            points at, as `ZipfVectorEnv.action_regions`
+        achieved: bool, with a memory of goals: whether the episode achieved what it asks for
     """
 
     steps: TensorDict

@@ -14,7 +14,7 @@ To add one, derive from `Auxiliary` and register its options with a function tha
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import torch
 from pydantic import Field
@@ -29,8 +29,11 @@ Fraction = Annotated[float, Field(gt=0, le=1)]
 
 
 class AuxiliaryOptions(Options):
-    """Options of an auxiliary loss; each derived class has a name of its own."""
+    """Options of an auxiliary loss; each derived class has a name of its own.
 
+    With `averages` the loss itself averages over several learners, which no CUDA graph can hold."""
+
+    averages: ClassVar[bool] = False
     name: str
 
 

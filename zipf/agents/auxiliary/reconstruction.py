@@ -31,6 +31,7 @@ from zipf.options import NotNegative
 class VisionOptions(AuxiliaryOptions):
     """Reconstructs the image, in a random `fraction` of the frames."""
 
+    averages = True
     name: Literal["vision"]
     vision_weight: NotNegative
     fraction: Fraction
@@ -47,6 +48,7 @@ class LanguageOptions(AuxiliaryOptions):
 class VisionLanguageOptions(AuxiliaryOptions):
     """Reconstructs image and instruction, in a random `fraction` of the frames."""
 
+    averages = True
     name: Literal["vision_language"]
     vision_weight: NotNegative
     language_weight: NotNegative

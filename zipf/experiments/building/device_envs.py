@@ -35,7 +35,8 @@ def only_on_the_host(config: Config) -> Iterator[str]:
         yield f"environment.split={config.environment.split}"
     if isinstance(config.runtime, RayOptions):
         yield "runtime=ray"
-    if not agents()[config.agent.name].captures or hasattr(config.agent, "teacher"):
+    agent = agents()[config.agent.name]
+    if agent.host_envs_only or not agent.captures:
         yield f"agent={config.agent.name}"
     if not isinstance(config.exploration, CountOptions) and config.exploration.name != "none":
         yield f"exploration={config.exploration.name}"
@@ -85,5 +86,5 @@ def not_captured(config: Config) -> Iterator[str]:
         yield f"hindsight={config.hindsight.name}"
     if config.episodic != NO_EPISODIC:
         yield f"episodic={config.episodic.name}"
-    if isinstance(config.runtime, TorchrunOptions) and "vision" in config.auxiliary.name:
-        yield f"auxiliary={config.auxiliary.name}"  # averages over learners inside its loss
+    if isinstance(config.runtime, TorchrunOptions) and config.auxiliary.averages:
+        yield f"auxiliary={config.auxiliary.name}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 import torch
@@ -15,7 +15,6 @@ from zipf.agents.agent import Agent, agents, unsupported
 from zipf.agents.encoders import is_codes, number_of_codes
 from zipf.agents.episodic import NO_EPISODIC
 from zipf.agents.free_space import free_ram, in_words
-from zipf.agents.hindsight import AchievedOptions
 from zipf.agents.learner import Learner
 from zipf.agents.network import ActorCritic
 from zipf.agents.network_options import MatchingOptions
@@ -86,7 +85,6 @@ def problems(config: Config, coming: Collection[Path] = ()) -> Iterator[str]:
     found = [line for options in checked for line in options.problems(context)]
     found += unsupported(config.agent.name, parts)
     yield from found
-    yield from _reads_itself(config)
     if problem := _no_folder(config):
         yield f"run_root={config.run_root:.200}: {problem}"
     if agent.largest_lag < config.lag:
@@ -95,7 +93,10 @@ def problems(config: Config, coming: Collection[Path] = ()) -> Iterator[str]:
             f"weights; should be at most {agent.largest_lag}"
         )
     yield from _no_pretrained(config, coming)
-    yield from _no_matcher(config)
+    network = config.network
+    fixed = isinstance(network, MatchingOptions) and network.matcher == "fixed"
+    if fixed and config.pretrained.run is None:
+        yield "network.matcher=fixed: keeps random weights without pretrained.run; choose learned"
     yield from _not_in_a_cluster(config)
     yield from _not_by_several_learners(config)
     try:
@@ -121,26 +122,6 @@ def _no_pretrained(config: Config, coming: Collection[Path]) -> Iterator[str]:
         run_folder.agent_file(folder)
     except (UserError, RuntimeError, ValueError) as error:  # or no such home, or a zero byte
         yield f"pretrained.run={run:.200}: {error}"
-
-
-def _no_matcher(config: Config) -> Iterator[str]:
-    """Options of a matcher where there is none, or of one that cannot have learned."""
-    network, hindsight = config.network, config.hindsight
-    fixed = isinstance(network, MatchingOptions) and network.matcher == "fixed"
-    if fixed and config.pretrained.run is None:
-        yield "network.matcher=fixed: keeps random weights without pretrained.run; choose learned"
-    if not isinstance(hindsight, AchievedOptions) or not hindsight.matching_cost:
-        return
-    if not isinstance(network, MatchingOptions):
-        yield (
-            f"hindsight.matching_cost={hindsight.matching_cost}: network={network.name} matches no "
-            "images with instructions; choose 0, or network=matching"
-        )
-    elif fixed:
-        yield (
-            f"hindsight.matching_cost={hindsight.matching_cost}: network.matcher=fixed learns "
-            "nothing; choose 0, or network.matcher=learned"
-        )
 
 
 def _not_in_a_cluster(config: Config) -> Iterator[str]:
@@ -187,17 +168,6 @@ def _not_by_several_learners(config: Config) -> Iterator[str]:
         yield (
             f"device={config.device}: is one for all learners; with runtime=torchrun choose "
             "device=cuda, which is another for each learner of a machine"
-        )
-
-
-def _reads_itself(config: Config) -> Iterator[str]:
-    """Kept episodes together with episodic memory: they would read their own rows from it."""
-    hindsight, episodic = config.hindsight, config.episodic
-    kept = hindsight.kept_per_goal if isinstance(hindsight, AchievedOptions) else None
-    if kept and episodic != NO_EPISODIC:
-        yield (
-            f"hindsight.kept_per_goal={kept}: kept episodes would read their own rows from the "
-            f"dictionary of episodic={episodic.name}; choose null, or episodic=none"
         )
 
 
@@ -307,19 +277,24 @@ def _no_folder(config: Config) -> str | None:
 BESIDE_A_FRAME = 64  # bytes: reward, action, flags and so on
 LARGEST_SIZE = 2**16  # ours: the weights between two such layers take 17 GB
 
-_buildable: dict[str, list[str]] = {}
+_tried: dict[tuple[str, str], list[str]] = {}
 
 
 def _cannot_be_built(config: Config) -> list[str]:
-    """Why the levels or the agent cannot be made. Equal options are tried once."""
-    others = {"seed": 0, "compile": config.compile, "evaluation": config.evaluation.model_dump()}
-    key = json.dumps(config.what_is_learned | others)
-    if key not in _buildable:
-        _buildable[key] = list(_try_to_build(config))
-    return _buildable[key]
+    """Why the levels or the agent cannot be made, or why memory will not hold them."""
+    return _once(_no_levels, config) or list(_lacking_memory(config)) or _once(_no_agent, config)
 
 
-def _try_to_build(config: Config) -> Iterator[str]:
+def _once(attempt: Callable[[Config], Iterator[str]], config: Config) -> list[str]:
+    """The problems of an attempt, which is made once for equal options."""
+    options = config.what_is_learned | {"seed": 0, "compile": config.compile}
+    key = attempt.__name__, json.dumps(options)
+    if key not in _tried:
+        _tried[key] = list(attempt(config))
+    return _tried[key]
+
+
+def _no_levels(config: Config) -> Iterator[str]:
     try:
         split = config.split
     except ValueError as error:
@@ -335,19 +310,19 @@ def _try_to_build(config: Config) -> Iterator[str]:
             env.close()
     except ValueError as error:
         yield f"environment: {error}"
-        return
     except MemoryError as error:
         yield f"environment: one env does not fit into RAM ({error})"
-        return
+
+
+def _no_agent(config: Config) -> Iterator[str]:
     family = envs.family_of_split(config.environment.split)
+    env = envs.make_vec(config.split.train[0], 1, **config.level_options)
+    env.close()
     if config.hindsight.name != "none" and family.goal is not None and not env.achieves:
         yield (
             f"hindsight={config.hindsight.name}: these envs do not tell what an episode has "
             "achieved; choose hindsight=none"
         )
-    if lacking := list(_lacking_ram(config, env)):
-        yield from lacking
-        return
     try:
         with torch.random.fork_rng(devices=[]):  # an agent may seed the global generator
             agent = build_agent(config.model_copy(update={"device": "cpu", "run_root": "."}), env)
@@ -380,11 +355,12 @@ def _left_random(config: Config, agent: Agent) -> Iterator[str]:
         )
 
 
-def _lacking_ram(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
-    """What does not fit into RAM, by arithmetic: nothing is allocated."""
+def _lacking_memory(config: Config) -> Iterator[str]:
+    """What does not fit into RAM or the device's memory, by arithmetic: nothing is allocated."""
     evaluation = config.evaluation
+    as_tensors = on_device(config) and not list(only_on_the_host(config))
     problems = [
-        _too_many_on_device(config) if on_device(config) else _too_many_in_ram(config),
+        _too_many_on_device(config) if as_tensors else _too_many_in_ram(config),
         too_many_envs(config, evaluation.num_envs, evaluation.episodes, "evaluation.num_envs"),
     ]
     yield from filter(None, problems)
@@ -397,16 +373,19 @@ def _lacking_ram(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
             yield f"{name}={value}: should be at most {LARGEST_SIZE}"
     if too_large:
         return
+    env = envs.make_vec(config.split.train[0], 1, **config.level_options)
+    env.close()
     if large := list(_too_many_codes(config, env)):
         yield from large
         return
     size, free = _weight_bytes(config, env), free_ram()
+    chosen = f"network={config.network.name}, memory={config.memory.name}"
     if size is None:
-        yield f"memory.size={config.memory.size}: such a network has too many weights or layers"
+        yield f"{chosen}: have too many weights or layers for PyTorch with these sizes"
     elif size > free:
         yield (
-            f"memory.size={config.memory.size}: the weights of such a network, their gradients and "
-            f"the optimiser take {in_words(size)}, and {in_words(free)} of RAM are free"
+            f"{chosen}: their weights, with gradients and the optimiser, take {in_words(size)}, and "
+            f"{in_words(free)} of RAM are free; choose smaller sizes"
         )
 
 
@@ -455,11 +434,11 @@ def _too_many_codes(config: Config, env: envs.ZipfVectorEnv) -> Iterator[str]:
                     f"many codes take {in_words(size)}, and {in_words(free)} of RAM are free; give "
                     "a quantity as a Box, and of codes fewer"
                 )
-    size = int(env.single_action_space.n) * config.memory.size * each
+    size = int(env.single_action_space.n) * each  # and that for each number that the head reads
     if size > free:
         yield (
             f"{env.name_of(0)}: {env.single_action_space} are too many actions: their weights take "
-            f"{in_words(size)}, and {in_words(free)} of RAM are free"
+            f"more than {in_words(size)}, and {in_words(free)} of RAM are free"
         )
 
 

@@ -77,8 +77,10 @@ def check_env_options(
         for level, options in played.items():
             if name not in options:
                 differing.append(f"{name}={value} of the policy, and {level} has no {name}")
-            elif _plain(value) != _plain(options[name]):
+                break
+            if _plain(value) != _plain(options[name]):
                 differing.append(f"{name}={value} of the policy, {options[name]} of {level}")
+                break
     if differing:
         raise ValueError(
             f"the policy's env_options differ from those of split {split!r}: {'; '.join(differing)}"

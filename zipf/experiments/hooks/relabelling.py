@@ -271,7 +271,7 @@ def reward_of(options: AchievedOptions, clip: Callable[[Tensor], Tensor] | None)
 
 RELABELLINGS: Registry[Hook | None] = Registry("hindsight")
 """Each is built from its options, which derive from `AchievedOptions`, the goal and the envs, and
-by name `clip`, `seed`, `augmentation` and `teacher`; it raises ValueError where the envs do not
+by name `clip`, `seed`, `draws` and `teacher`; it raises ValueError where the envs do not
 tell what an episode has achieved."""
 
 RELABELLINGS.register(NoHindsightOptions, lambda options, goal, env, **named: None)

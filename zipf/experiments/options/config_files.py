@@ -281,6 +281,13 @@ def _without_sections(written: Written) -> tuple[dict[str, Any], dict[tuple[str,
     for option, accepted in _CHOOSING.items():
         if option in values and not _chooses(option, values[option]):
             raise UserError(f"{written.places[option]}: {option}: {accepted}")
+    groups = [*usual().values, "environment"]
+    for group in values.get("choose", ()):
+        if group not in groups:
+            raise UserError(
+                f"{written.places[f'choose.{group}']}: choose: {group} is no group; should be one "
+                f"of {', '.join(groups)}"
+            )
     for group in parts():
         section = values.pop(group, {})
         for choice in section if isinstance(section, dict) else [section]:

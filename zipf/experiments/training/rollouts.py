@@ -175,6 +175,7 @@ class BackgroundRollouts(SynchronousRollouts):
         super().__init__(collector, parts)
         self.agent = agent
         agent.separate_acting()
+        self._switched_before = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_SECONDS)
         # Of the unrolls that were learned from; the collector's are of the pending one.
         self._visits = Visits(collector.visits.ranks)
@@ -245,6 +246,7 @@ class BackgroundRollouts(SynchronousRollouts):
     def close(self) -> None:
         """Ends the second thread."""
         self._thread.shutdown()
+        sys.setswitchinterval(self._switched_before)
 
     def state_dict(self) -> dict[str, Any]:
         """The collector's, the unroll that is yet to be learned from, and what the earlier ones

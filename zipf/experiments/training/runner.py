@@ -75,6 +75,8 @@ def train(
     schedule = config.schedule
     with ExitStack() as stack:
         stack.enter_context(_as_user_errors(config))
+        before = torch.are_deterministic_algorithms_enabled()
+        stack.callback(torch.use_deterministic_algorithms, before)
         _choose_kernels(config)
         learner = stack.enter_context(runtime.learner())
         if learner.is_first:
@@ -219,6 +221,7 @@ class Run:
         self.clock = Clock()
         self.update = 0
         self.evaluated = -1
+        self._saved: int | None = None  # the update of the checkpoint, where this process wrote it
         self._lengths: dict[str, int] | None = None
         torch.manual_seed(self.learner.seed(config.seed))
         if saved:
@@ -472,7 +475,9 @@ class Run:
         self.outputs.evaluation(self._when(), results, visits)
 
     def save(self) -> None:
-        """Writes the checkpoint."""
+        """Writes the checkpoint, unless it is there."""
+        if self._saved == self.update:
+            return
         self._check_finite()
         self.clock.move(self.rollouts.seconds)
         agent = self.agent.state_dict()
@@ -483,6 +488,7 @@ class Run:
         if self.learner.is_first:
             self._save({"agent": agent, **own})
         self.learner.wait()  # the end of one learner would be that of the first, which still writes
+        self._saved = self.update
 
     def _save(self, learned: dict[str, Any]) -> None:
         state = {

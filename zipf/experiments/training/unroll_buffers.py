@@ -22,7 +22,7 @@ class UnrollBuffers:
     Attributes:
         steps: all of them, and what the behaviour policy adds.
         rows: of each row the fields as tensors {name: [N]}.
-        final: see `Unroll`; None for an agent that asks for none.
+        final: see `Unroll`; None where `finals` is 0.
         observation, fields: on the host the same memory as arrays by name: observations, and the
             fields that every agent needs and `further` ones.
 
