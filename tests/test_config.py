@@ -319,6 +319,10 @@ MISTAKES = [
         ["network.strides=[4, 2, 1]: should have as many numbers as network.channels"],
     ),
     (
+        ["experiment=playroom_find_compact", "network=matching", "network.match_strides=[4,2]"],
+        ["network.match_strides=[4, 2]: should have as many numbers as network.match_channels"],
+    ),
+    (
         ["experiment=demo", "augmentation=random", "augmentation.scale=[2,1]"],
         ["augmentation.scale=[2, 1]: the first should not be larger"],
     ),

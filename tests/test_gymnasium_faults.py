@@ -84,7 +84,7 @@ class Seedless(Faulty):
 @pytest.fixture(autouse=True)
 def _registered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
     monkeypatch.setattr(family, "_FAMILIES", dict(family._FAMILIES))
-    monkeypatch.setattr(feasibility, "_buildable", {})
+    monkeypatch.setattr(feasibility, "_tried", {})
     monkeypatch.setattr(config_files, "_user_folders", [])
     gym.register("Faulty-v0", Faulty, max_episode_steps=20)
     gym.register("Endless-v0", Endless)

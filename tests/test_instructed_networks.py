@@ -28,6 +28,7 @@ SHALLOW = ShallowOptions(name="shallow", **VALUES)
 FILM = FiLMOptions(name="film", **VALUES)
 ATTENTION = AttentionOptions(name="attention", heads=2, key_size=3, **VALUES)
 MATCHING = MatchingOptions(name="matching", match_channels=[4, 6], key_size=5, **VALUES)
+OWN_CONVOLUTIONS = {"match_kernels": [3, 2], "match_strides": [2, 2]}
 IMAGE = gym.spaces.Box(0, 255, (12, 14, 3), np.uint8)
 TEXT = gym.spaces.Box(0, 9, (4,), np.int64)
 SPACE = gym.spaces.Dict(image=IMAGE, instruction=TEXT)
@@ -157,14 +158,16 @@ def scores_of(matcher, image, words, normalise):
     return torch.stack(scores)
 
 
-@pytest.mark.parametrize("normalise", [False, True])
+@pytest.mark.parametrize(
+    ("normalise", "own", "rows", "columns"),
+    [(False, {}, 3, 4), (True, {}, 3, 4), (False, OWN_CONVOLUTIONS, 2, 3)],
+)
 @torch.no_grad()
-def test_matching_is_its_definition(normalise):
-    encoder, network, _ = built(MATCHING.model_copy(update={"normalise": normalise}))
+def test_matching_is_its_definition(normalise, own, rows, columns):
+    encoder, network, _ = built(MATCHING.model_copy(update={"normalise": normalise, **own}))
     given = observations()
     network.matcher.words[0].weight[1:].normal_()
     told, encoded = given["instruction"], encoder(given)
-    rows, columns = 3, 4
     for n in range(3):
         seen = found_by(network.convolutions, given["image"][n], normalise)
         scores = scores_of(network.matcher, given["image"][n], told[n], normalise)

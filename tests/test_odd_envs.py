@@ -298,7 +298,7 @@ def configs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def _own(monkeypatch: pytest.MonkeyPatch, configs: Path) -> Iterator[None]:
     monkeypatch.setattr(family, "_FAMILIES", dict(family._FAMILIES))
-    monkeypatch.setattr(feasibility, "_buildable", {})
+    monkeypatch.setattr(feasibility, "_tried", {})
     monkeypatch.setattr(config_files, "_user_folders", [])
     config_files.add_folder(configs)
     yield
@@ -310,7 +310,7 @@ def register(spec: Spec) -> None:
     gym.registry.pop("Odd-v0", None)
     gym.register("Odd-v0", made, max_episode_steps=spec.limit)
     family._FAMILIES.pop("odd", None)
-    feasibility._buildable.clear()
+    feasibility._tried.clear()
     options = {"spec": replace(spec, odd={k: v for k, v in spec.odd.items() if k != "signature"})}
     zipf.envs.register(
         zipf.envs.zipfian(

@@ -49,6 +49,11 @@ def split_of(experiment):
 PAPERS = [name for name in SWEEPS if name.startswith("paper_")]
 
 
+@pytest.mark.parametrize("name", SWEEPS)
+def test_every_shipped_sweep_can_be_read(name):
+    assert sweeps.read_blocks(name)
+
+
 @pytest.mark.parametrize("name", PAPERS)
 def test_the_papers_sweeps_have_every_row_of_its_tables(name):
     jobs = expanded(f"sweep={name}")

@@ -110,11 +110,13 @@ class Matcher(nn.Module):
         self, shape: tuple[int, ...], options: MatchingOptions, vocabularies: Sequence[int]
     ):
         super().__init__()
-        rows = _centres(shape[0], options)
-        columns = _centres(shape[1], options)
+        kernels = options.match_kernels or options.kernels
+        strides = options.match_strides or options.strides
+        rows, columns = (_centres(side, kernels, strides) for side in shape[:2])
+        self.grid = len(rows), len(columns)
         self.register_buffer("centres", torch.cartesian_prod(rows, columns), persistent=False)
         inputs = [shape[2], *options.match_channels]
-        layers = zip(inputs[:-1], inputs[1:], options.kernels, options.strides, strict=True)
+        layers = zip(inputs[:-1], inputs[1:], kernels, strides, strict=True)
         self.convolutions = nn.ModuleList(nn.Conv2d(*layer) for layer in layers)
         self.convolutions.append(nn.Conv2d(inputs[-1], inputs[-1], 3, padding=1))
         self.convolutions.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -160,10 +162,10 @@ class Matcher(nn.Module):
 _FIRST_QUERY = 0.02  # ours: short, so that words, which grow by the learning rate, soon turn it
 
 
-def _centres(side: int, options: MatchingOptions) -> Tensor:
+def _centres(side: int, kernels: Sequence[int], strides: Sequence[int]) -> Tensor:
     """The centres of what strided convolutions read along a side of so many pixels, in sides."""
     centre, apart, places = 0.5, 1, side
-    for kernel, stride in zip(options.kernels, options.strides, strict=True):
+    for kernel, stride in zip(kernels, strides, strict=True):
         centre += apart * (kernel - 1) / 2
         apart *= stride
         places = (places - kernel) // stride + 1
@@ -187,7 +189,7 @@ class MatchingNet(InstructedNet):
         super().__init__(shape, options)
         self.matcher = Matcher(shape, options, vocabularies)
         self.matcher.requires_grad_(options.matcher == "learned")
-        _, rows, columns = self.grid
+        rows, columns = self.matcher.grid
         y, x = torch.linspace(-1, 1, rows), torch.linspace(-1, 1, columns)
         places = torch.stack([x.repeat(rows), y.repeat_interleave(columns)], -1)
         self.register_buffer("places", places, persistent=False)

@@ -73,7 +73,7 @@ class ShallowOptions(NetworkOptions):
     size: Size
     normalise: bool
 
-    @field_validator("kernels", "strides", "match_channels", check_fields=False)
+    @field_validator("kernels", "strides")
     @classmethod
     def _as_many(cls, numbers: list[int], info: ValidationInfo) -> list[int]:
         """Every convolution has channels, a kernel and a stride."""
@@ -104,14 +104,26 @@ class AttentionOptions(InstructedOptions):
 class MatchingOptions(InstructedOptions):
     """As shallow, and places of the image are matched with the instruction.
 
-    `match_channels` are those of the convolutions whose keys are matched, with the kernels and
-    strides of the others; one of 3 x 3 follows. Keys and queries have `key_size` numbers. With
+    `match_channels`, `match_kernels` and `match_strides` are those of the convolutions whose keys
+    are matched (None: kernels and strides of the others); one of 3 x 3 follows. Keys and queries
+    have `key_size` numbers. With
     `matcher` "fixed" the matcher stays as it begins, the words that it reads included. Without
     `remember_instruction` the memory does not read the instruction: the matcher alone does.
     """
 
     name: Literal["matching"]  # type: ignore[assignment]
     match_channels: Annotated[list[Size], Field(min_length=1)]
+    match_kernels: list[Size] | None = Field(default=None, validate_default=True)
+    match_strides: list[Size] | None = Field(default=None, validate_default=True)
     key_size: Size
     matcher: Literal["learned", "fixed"] = "learned"
     remember_instruction: bool = True
+
+    @field_validator("match_kernels", "match_strides")
+    @classmethod
+    def _as_many_matched(cls, numbers: list[int] | None, info: ValidationInfo) -> list[int] | None:
+        matched = info.data.get("match_channels", ())
+        others = info.data.get("channels", ())
+        if len(matched) != len(others if numbers is None else numbers):
+            raise ValueError("should have as many numbers as network.match_channels")
+        return numbers

@@ -19,6 +19,8 @@ ADDED_SINCE = {
     "learning_rate_decay": None,
     "collector.envs_per_update": None,
     "network.matcher": "learned",
+    "network.match_kernels": None,
+    "network.match_strides": None,
     "network.remember_instruction": True,
     "hindsight.matching_cost": 0.0,
     "augmentation.scale": [1.0, 1.0],
