@@ -124,7 +124,6 @@ TASKS = [
             "told": Agent("#cc3311"),
             "settled_slowly": Agent("#ee7733"),
             "matched": Agent("#aa3377"),
-            "settled": Agent("#ee3377"),
             "imitation_matching": Agent("#009988"),
         },
         "blind",

@@ -384,7 +384,7 @@ def _lacking_memory(config: Config) -> Iterator[str]:
         yield f"{chosen}: have too many weights or layers for PyTorch with these sizes"
     elif size > free:
         yield (
-            f"{chosen}: their weights, with gradients and the optimiser, take {in_words(size)}, and "
+            f"{chosen}: their weights, gradients and the optimiser take {in_words(size)}, and "
             f"{in_words(free)} of RAM are free; choose smaller sizes"
         )
 
