@@ -123,7 +123,6 @@ TASKS = [
             "imitation": Agent("#0077bb"),
             "told": Agent("#cc3311"),
             "settled_slowly": Agent("#ee7733"),
-            "matched": Agent("#aa3377"),
             "imitation_matching": Agent("#009988"),
         },
         "blind",
