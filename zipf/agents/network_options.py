@@ -106,9 +106,9 @@ class MatchingOptions(InstructedOptions):
 
     `match_channels`, `match_kernels` and `match_strides` are those of the convolutions whose keys
     are matched (None: kernels and strides of the others); one of 3 x 3 follows. Keys and queries
-    have `key_size` numbers. With
-    `matcher` "fixed" the matcher stays as it begins, the words that it reads included. Without
-    `remember_instruction` the memory does not read the instruction: the matcher alone does.
+    have `key_size` numbers. With `matcher` "fixed" the matcher stays as it begins, the words that
+    it reads included. Without `remember_instruction` the memory does not read the instruction: the
+    matcher alone does.
     """
 
     name: Literal["matching"]  # type: ignore[assignment]

@@ -31,7 +31,8 @@ Fraction = Annotated[float, Field(gt=0, le=1)]
 class AuxiliaryOptions(Options):
     """Options of an auxiliary loss; each derived class has a name of its own.
 
-    With `averages` the loss itself averages over several learners, which no CUDA graph can hold."""
+    With `averages` the loss itself averages over several learners, which no CUDA graph can hold.
+    """
 
     averages: ClassVar[bool] = False
     name: str

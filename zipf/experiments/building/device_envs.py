@@ -24,9 +24,9 @@ from zipf.experiments.options.schema import Config
 def on_device(config: Config) -> bool:
     """Whether the envs are stepped as tensors on the agent's device."""
     where = config.collector.envs
-    if where == "auto":
-        return config.torch_device.startswith("cuda") and not list(only_on_the_host(config))
-    return where == "device"
+    if where == "host" or list(only_on_the_host(config)):
+        return False
+    return where == "device" or config.torch_device.startswith("cuda")
 
 
 def only_on_the_host(config: Config) -> Iterator[str]:

@@ -358,9 +358,8 @@ def _left_random(config: Config, agent: Agent) -> Iterator[str]:
 def _lacking_memory(config: Config) -> Iterator[str]:
     """What does not fit into RAM or the device's memory, by arithmetic: nothing is allocated."""
     evaluation = config.evaluation
-    as_tensors = on_device(config) and not list(only_on_the_host(config))
     problems = [
-        _too_many_on_device(config) if as_tensors else _too_many_in_ram(config),
+        _too_many_on_device(config) if on_device(config) else _too_many_in_ram(config),
         too_many_envs(config, evaluation.num_envs, evaluation.episodes, "evaluation.num_envs"),
     ]
     yield from filter(None, problems)
