@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
 from pathlib import Path
 
@@ -29,6 +30,7 @@ from zipf.experiments.records.csv_files import read_texts
 from zipf.experiments.records.record import Record
 from zipf.experiments.records.result_table import TABLES
 from zipf.experiments.records.results import Run, load_record, load_run
+from zipf.experiments.reporting.scores import means_inside
 from zipf.experiments.reporting.windows import OwnWindows, evaluations_inside
 from zipf.protocol import KINDS
 
@@ -39,7 +41,8 @@ def keep(kept: Record, folder: Path, *, weights: bool = False) -> str:
     """Adds one run to a record, and its weights to `results/` if asked to; returns its name there.
 
     Raises:
-        UserError: it is no run, is damaged, or has no weights.
+        UserError: it is no run, is damaged, or has no weights; or those of an earlier training
+            would stay beside it.
     """
     run = load_run(folder)
     if run.notes:
@@ -48,9 +51,14 @@ def keep(kept: Record, folder: Path, *, weights: bool = False) -> str:
         raise UserError(f"{folder}: has no weights.pt")
     description = json.loads((folder / "run.json").read_text("utf-8"))
     name = f"{description['experiment']}/{description['condition']}/seed{description['seed']}"
+    if not weights and (RESULTS / name / "weights.pt").exists():
+        raise UserError(
+            f"{RESULTS / name}: has the weights of an earlier training; give --weights, or remove "
+            "the folder"
+        )
     for start in (description, *description.get("resumed", [])):
-        if words := (start.get("command") or "").split():
-            start["command"] = " ".join(w for w in words if not w.startswith("run_root="))
+        if words := shlex.split(start.get("command") or ""):
+            start["command"] = shlex.join(w for w in words if not w.startswith("run_root="))
     tables = {file: read_texts(folder / file, []) for file in TABLES}
     situations = tables["situations.csv"]
     if len(situations.columns):
@@ -77,10 +85,8 @@ def scores(runs: list[Run], folder: Path) -> pd.DataFrame:
     """A row for each run and kind of level: its score, and what that rests on."""
     rows = []
     for run in sorted(runs, key=lambda one: one.folder.as_posix()):
-        updates = evaluations_inside(run, OwnWindows())["update"]
         for kind in KINDS:
-            means = run.mean_scores(run.description.levels_of(kind))
-            means = means[means["update"].isin(updates)]
+            means = means_inside(run, run.description.levels_of(kind), OwnWindows())
             if len(means):
                 rows.append(
                     {

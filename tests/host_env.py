@@ -19,7 +19,7 @@ class Host(TensorEnv):
             device="cpu",
         )
         self.env, self.goal, self.symmetries = env, goal, symmetries
-        self.achieves = env.achieves
+        self.achieves, self.reports_success = env.achieves, env.reports_success
         self.reset(0)
 
     def tensors(self):
@@ -47,7 +47,7 @@ class Host(TensorEnv):
             for name, part in final.items():
                 part[ended] = torch.from_numpy(info["final_obs"][name][ended])
             outcome = info["final_info"]
-        names = [*self.situation, "return", "length", "success"]
+        names = [*self.situation, "return", "length", *["success"] * self.reports_success]
         if self._reports_achieved:
             names += ["achieved", "has_achieved"]
         zeros = dict.fromkeys(names, np.zeros(self.num_envs, np.int64))

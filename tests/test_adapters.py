@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as wrappers
 from numpy.typing import NDArray
@@ -159,6 +160,15 @@ def test_sb3_asks_for_attributes():
         env.env_method("action_masks")
     with pytest.raises(NotImplementedError, match="level"):
         env.set_attr("level", 3)
+
+
+def test_sb3_has_a_name_for_each_part():
+    from zipf.adapters import stable_baselines3
+
+    space = spaces.Dict({"keys": spaces.Discrete(2), "a.b": spaces.Discrete(2)})
+    assert stable_baselines3._names(space) == {"keys": "keys_", "a.b": "a_b"}
+    with pytest.raises(ValueError, match="two observations would be called the same"):
+        stable_baselines3._names(spaces.Dict({**space, "keys_": spaces.Discrete(2)}))
 
 
 def test_sb3_needs_batches_that_start_over_in_the_same_step():

@@ -9,10 +9,12 @@ import pytest
 from absl import logging
 from absl.testing import absltest
 from dm_env import specs, test_utils
+from gymnasium import spaces
 
 from zipf import envs
 from zipf.adapters.dm_env import (
     DmEnv,
+    _spec,
     zipfs_gridworld,
     zipfs_labyrinth,
     zipfs_playroom,
@@ -84,6 +86,15 @@ def test_specs_name_and_bound_what_an_agent_sees():
     assert env.action_spec() == specs.DiscreteArray(8, name="action")
     text = DmEnv("playroom/lift/lift_shape_uniform").observation_spec()["instruction"]
     assert (text.shape, text.dtype) == ((6,), np.int64)
+    codes = spaces.MultiDiscrete([3, 4], start=[-1, 2])
+    for space in (codes, spaces.MultiBinary((2, 3))):
+        spec = _spec("part", space)
+        assert (spec.shape, spec.dtype) == (space.shape, space.dtype)
+        spec.validate(space.sample())
+    assert (_spec("part", codes).minimum.tolist(), _spec("part", codes).maximum.tolist()) == (
+        [-1, 2],
+        [1, 5],
+    )
 
 
 def test_the_released_names_show_what_the_release_shows():

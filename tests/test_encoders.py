@@ -225,6 +225,8 @@ def test_vectors_are_scaled_by_their_bounds_or_by_symlog():
             "c": gym.spaces.MultiBinary(2),
             "d": gym.spaces.Box(-3e38, 3e38, (1,), np.float32),  # bounds that stand for none
             "e": gym.spaces.Box(5, 5, (1,), np.float32),
+            "f": gym.spaces.Box(1e9, 1e9 + 10, (1,), np.float64),
+            "g": gym.spaces.Box(2_000_000_000, 2_000_000_100, (1,), np.int64),
         }
     )
     vectors = Encoder(space, COMPACT).reader("a")
@@ -236,8 +238,10 @@ def test_vectors_are_scaled_by_their_bounds_or_by_symlog():
         torch.tensor([[0, 1]], dtype=torch.int8),
         torch.tensor([[1e4]]),
         torch.tensor([[5.0]]),
+        torch.tensor([[1e9 + 7.5]], dtype=torch.float64),
+        torch.tensor([[2_000_000_025]]),
     )
-    expected = [0.5, -np.log(101), np.log(4), -1.0, 0.5, -1.0, 1.0, np.log(10001), -1.0]
+    expected = [0.5, -np.log(101), np.log(4), -1.0, 0.5, -1.0, 1.0, np.log(10001), -1.0, 0.5, -0.5]
     np.testing.assert_allclose(read[0][0], expected, rtol=1e-5)
 
 

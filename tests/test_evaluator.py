@@ -161,6 +161,19 @@ def test_situations_of_the_train_levels_are_taken_together():
     pd.testing.assert_frame_equal(alone, table.loc[["uniform"]])
 
 
+def test_situations_have_the_ranks_that_all_levels_have():
+    episodes = pd.DataFrame({"map": [0, 1, 1], "success": True, "return": 1.0, "length": 3})
+    level = envs.SplitLevel("gridworld/rare")
+    results = [
+        evaluator.Result("uniform", level, episodes.assign(goal=[0, 1, 2])),
+        evaluator.Result("rare", level, episodes),
+    ]
+    table = evaluator.situations(results)
+    assert list(table.columns) == ["level_kind", "map", "episodes", "successes", "return_sum"]
+    assert table["episodes"].tolist() == [1, 2, 1, 2]
+    assert table["map"].tolist() == [0, 1, 0, 1]
+
+
 def test_bad_requests():
     with pytest.raises(ValueError, match="episodes must be at least 1, got 0"):
         evaluate.score(scripted, episodes=0)

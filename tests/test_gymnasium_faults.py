@@ -370,8 +370,8 @@ def test_rewards_of_other_types_are_numbers(reward: Any) -> None:
 @pytest.mark.parametrize(
     ("space", "dtype"),
     [
-        (spaces.Box(0, 9, (2,), np.uint64), np.int64),
-        (spaces.Box(0, 9, (2,), np.uint32), np.int64),
+        (spaces.Box(0, 9, (2,), np.uint64), np.int32),
+        (spaces.Box(0, 9, (2,), np.uint32), np.int32),
         (spaces.MultiDiscrete([3, 4], dtype=np.uint64), np.int64),
         (spaces.Box(-1, 1, (2,), np.float16), np.float16),
     ],

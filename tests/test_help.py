@@ -112,9 +112,14 @@ def test_a_mistake_in_the_command_is_one_line(words, told, monkeypatch, capsys):
         (zipf.evaluate, ["episodes=1e3"], "episodes=1e3: should be a whole number"),
         (zipf.play, ["levl=a"], "levl: no such option; did you mean level?"),
         (zipf.report, ["run=here"], "run=here: folders have no name here: python -m zipf.report"),
+        (zipf.report, ["lr=0.1"], "lr=0.1: to name this folder, write ./lr=0.1"),
     ],
 )
-def test_a_mistake_in_a_small_command_is_one_line(module, words, told, monkeypatch, capsys):
+def test_a_mistake_in_a_small_command_is_one_line(
+    module, words, told, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lr=0.1").mkdir()
     monkeypatch.setattr(sys, "argv", [module.__name__, *words])
     with contextlib.suppress(SystemExit):
         assert module.main() == 2

@@ -73,7 +73,9 @@ def assert_same(one: Run, other: Run) -> None:
     assert (one.updates, one.frames, one.seconds) == (other.updates, other.frames, other.seconds)
 
 
-def test_runs_are_read_from_a_record_as_from_their_folders(tmp_path: Path, results: Path) -> None:
+def test_runs_are_read_from_a_record_as_from_their_folders(
+    tmp_path: Path, results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folders = [
         run(tmp_path),
         run(tmp_path, 1, row={"title": "1.0", "order": None, "colour": None, "line": "solid"}),
@@ -98,6 +100,11 @@ def test_runs_are_read_from_a_record_as_from_their_folders(tmp_path: Path, resul
     (only,) = load_runs([results / "gridworld" / "impala" / "seed1"])
     assert_same(load_run(folders[1]), only)
     assert len(load_runs([results / "gridworld", results])) == 4
+    (tmp_path / "link").symlink_to(results / "gridworld")
+    (results / "gridworld/impala").mkdir(parents=True)  # as that of a run with weights
+    monkeypatch.chdir(results / "gridworld/impala")
+    for folder, number in ((".", 2), ("..", 2), ("seed1", 1), (tmp_path / "link", 2)):
+        assert [len(one.evaluations) for one in load_runs([folder])] == [9] * number
     metrics = pd.read_csv(results / "metrics.csv.gz", keep_default_na=False)
     of_one = metrics[metrics["run"] == "gridworld/impala/seed0"].drop(columns="run")
     assert of_one.to_csv(index=False) == METRICS
@@ -138,7 +145,8 @@ def test_scores_are_those_of_the_window(tmp_path: Path, results: Path) -> None:
 
 
 def test_weights_are_kept_if_asked_for(tmp_path: Path, results: Path) -> None:
-    folder, found = run(tmp_path, command="python -m zipf.train run_root=/there seed=0"), Record()
+    command = "python -m zipf.train 'run_root=/there or here' seed=0 'row.title=\"A b\"'"
+    folder, found = run(tmp_path, command=command), Record()
     with pytest.raises(UserError, match=r"has no weights\.pt"):
         keep_results.keep(found, folder, weights=True)
     assert found == Record()
@@ -153,10 +161,12 @@ def test_weights_are_kept_if_asked_for(tmp_path: Path, results: Path) -> None:
     assert taken["weights"]["layer"].tolist() == [1.0, 0.333984375]  # bfloat16's
     assert taken["weights"]["count"] == 3
     described = json.loads((results / name / "run.json").read_text())
-    assert described["command"] == "python -m zipf.train seed=0"
+    assert described["command"] == "python -m zipf.train seed=0 'row.title=\"A b\"'"
     (only,) = load_runs([results])  # once, and from the record
     assert len(only.evaluations) == 9
     assert only.settings == load_run(folder).settings
+    with pytest.raises(UserError, match="weights of an earlier training; give --weights, or"):
+        keep_results.keep(found, folder)
 
 
 def test_a_run_that_is_damaged_is_not_kept(tmp_path: Path, results: Path) -> None:

@@ -321,6 +321,14 @@ def test_an_agent_refuses_what_it_cannot_act_on(agent):
         agent.act({})
     with pytest.raises(ValueError, match=r"'image' has shape \(2, 3\)"):
         agent.act({"image": np.zeros((2, 3))})
+    with pytest.raises(ValueError, match="'image' is float64; should be uint8"):
+        agent.act({"image": observation["image"] / 255})
+    agent.reset(seed=0)
+    mirrored = agent.act({"image": observation["image"][:, :, ::-1]})
+    agent.reset(seed=0)
+    assert (
+        mirrored.tolist() == agent.act({"image": observation["image"][:, :, ::-1].copy()}).tolist()
+    )
     agent.reset()
     assert agent.act(half).shape == (1,)
 

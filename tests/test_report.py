@@ -893,6 +893,13 @@ def test_chosen_conditions_are_shown_in_their_order(
     assert [row.key for row in table.rows] == ["r2d2", "impala_mlp,agent.discount=0.9", "impala"]
     (table,) = report.report([tmp_path], conditions=["impala_mlp*"]).tables
     assert [row.key for row in table.rows] == ["impala_mlp", "impala_mlp,agent.discount=0.9"]
+    described = {"order": None, "colour": None, "line": "solid"}
+    for condition in ("slow", "slower"):  # with one title, of commas and brackets
+        row = {"title": "Slow, [of two]", **described}
+        write_run(tmp_path, constant(0.5), condition=condition, row=row)
+    for chosen in ("slow, [of two]", "[Slow, [of two],r2d2]", "*[of two]"):
+        (table,) = report.report([tmp_path], conditions=chosen).tables
+        assert [row.key for row in table.rows][:2] == ["slow", "slower"]
     for option in ("conditions", "highlight"):
         told = refusal(capsys, str(tmp_path), f"{option}=impala,vmpo")
         assert "vmpo: no such condition; there are impala, " in told

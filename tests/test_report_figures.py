@@ -91,7 +91,6 @@ def test_success_by_rank_by_hand(tmp_path: Path) -> None:
     ]
     assert found["value"].tolist() == [pytest.approx(46 / 60), pytest.approx(0.3)]
     assert rates(table, ["map", "target"])["value"].tolist() == [0.9, 0.5, 0.2, 0.5]
-    assert rates(table, ["map"], "rare")["map"].tolist() == [1]
 
 
 def test_wilson_interval() -> None:

@@ -88,6 +88,10 @@ def test_a_name_may_need_quotes(tmp_path: Path) -> None:
         ("100,1,250,train\rg,1000,0.5,0.5,0.5,17,1", "line 5: "),
         ('100,1,250,train,"g,1000,0.5,0.5,0.5,17', "line 5: "),
         ('100,1,250,train,"g"h,1000,0.5,0.5,0.5,17', "line 5: "),
+        (
+            "100,409600,250,rare,gridworld/rare,1000,0,0,0,17",
+            "line 5: gridworld/rare at update 100",
+        ),
         (f"100,1,250,train,{'g' * 200_000},1000,0.5,0.5,0.5,17", "line 5: "),
     ],
 )

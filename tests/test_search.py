@@ -127,6 +127,7 @@ def test_whole_numbers_and_the_ends_of_an_interval():
         (["agent.discount=interval(1,0.9)"], "should be two numbers, the smaller one first"),
         (["agent.discount=tag(log,interval(0,1))"], "should begin above 0"),
         (["agent.discount=tag(logg,interval(0,1))"], "no such tag as logg"),
+        (["memory.size=tag(int,log,interval(0.5,8))"], "whole numbers should have whole ends"),
         (["agent.discount=glob(*)"], "list the values"),
         (["name=x"], "two trials would use this folder"),
     ],

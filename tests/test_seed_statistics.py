@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -163,6 +164,17 @@ def test_a_row_that_has_only_begun_has_no_rare_situations(tmp_path: Path) -> Non
     write_run(tmp_path, constant(0.1), condition="r2d2", situations=[SITUATIONS, *begun])
     text = shown(tmp_path)
     assert "| IMPALA | 0.50 | 0.50 | 0.50 |" in text
+
+
+def test_rows_that_met_other_rare_situations_are_not_in_the_table(tmp_path: Path) -> None:
+    for condition, targets in (("impala", (17, 18, 19)), ("r2d2", (18, 19)), ("vmpo", (17,))):
+        lines = [f"300,rare,18,{k},10,5,5.0" for k in targets]
+        write_run(tmp_path, constant(0.5), condition=condition, situations=[SITUATIONS, *lines])
+    text = shown(tmp_path)
+    assert "| IMPALA | 0.50 | 0.50 | 0.50 | 0.50 |" in text
+    assert "| R2D2 | 0.50 | 0.50 |" not in text
+    shutil.rmtree(tmp_path / "gridworld/impala")
+    assert "rare situations (" not in shown(tmp_path)
 
 
 def test_one_seed_has_no_interval(tmp_path: Path) -> None:

@@ -116,6 +116,13 @@ def test_envs_know_their_levels(workers: dict[str, int]) -> None:
         envs.make_train(split, 2, **{name: 2 for name in workers}, **SMALL[LIFT])
 
 
+def test_slices_tell_what_one_batch_tells() -> None:
+    one, several = (envs.make_vec(LIFT, 4, threads=k, **SMALL[LIFT]) for k in (1, 2))
+    assert one.time_limit is not None
+    for name in ("time_limit", "longest_episode", "situation", "reports_success"):
+        assert getattr(several, name) == getattr(one, name)
+
+
 def test_rules_in_python_take_turns() -> None:
     one, several = (envs.make_vec(MAZE, 5, threads=k, **SMALL[MAZE]) for k in (1, 3))
     assert same(one.reset(seed=3), several.reset(seed=3))

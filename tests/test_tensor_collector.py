@@ -16,7 +16,7 @@ from zipf.agents.capture import CaptureFailed
 from zipf.agents.learner import Learner
 from zipf.agents.unroll import changed
 from zipf.errors import UserError
-from zipf.experiments.building import checkpoint, loading
+from zipf.experiments.building import checkpoint, factory, loading
 from zipf.experiments.building.factory import build_agent
 from zipf.experiments.hooks.augmentation import RandomAugmentation
 from zipf.experiments.hooks.tensor import View
@@ -28,6 +28,7 @@ from zipf.experiments.training.rollouts import (
     SynchronousRollouts,
     TensorRollouts,
 )
+from zipf.experiments.training.tensor_collector import Tally
 
 ENVS, STEPS, LIMIT = 6, 9, 7
 SMALL = {"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5, "max_steps": LIMIT}
@@ -46,11 +47,12 @@ R2D2 = ("agent=r2d2", "agent.burn_in=2", "agent.replay_min=6", "agent.replay_cap
 SHOWN_LAST = ("observation", "previous_action", "previous_reward", "is_first", "draw")
 
 
-def both(*overrides):
+def both(*overrides, reports_success=True):
     """The host's collector, and that of tensors over an equal batch, with equal agents."""
     config = loading.load([*TINY, *overrides])
     made = partial(envs.make_vec, config.split.train[0].level, ENVS, **SMALL)
     plain, batch = made(), made()
+    plain.reports_success = batch.reports_success = reports_success
     goal = envs.family_of_split(config.split.name).make_goal(batch)
     tensors = Host(batch, goal, envs.symmetries(config.split, batch), LIMIT)
     host = build_collector(config, plain, build_agent(config, plain))
@@ -97,6 +99,34 @@ def test_unrolls_are_those_of_the_host(chosen):
             assert_equal(one.final.to_dict(), other.final.to_dict())
     assert ended > 0
     assert (truncated > 0) == ("collector.bootstrap_at_time_limit=false" not in chosen)
+
+
+def test_envs_may_have_no_success():
+    _, tensors = both("memory=mlp", reports_success=False)
+    tally = Tally(tensors)
+    for _ in range(3):
+        tensors.collect()
+        tally.add(tensors.outcomes, tensors.met)
+    found = tally.metrics()
+    assert list(found) == ["episode_return", "episode_length"]
+    assert 1 <= found["episode_length"] <= LIMIT
+
+
+class Readings(Host):
+    """Codes of floats and truth values."""
+
+    def observe(self):
+        shown = super().observe()
+        return {"light": shown["image"].float().mean((1, 2, 3)), "lit": shown["image"][:, 0] > 9}
+
+
+def test_codes_may_be_of_any_numbers():
+    env = Readings(envs.make_vec("gridworld/uniform", 2, **SMALL))
+    space = factory._space(env)
+    assert {name: (part.dtype, part.shape) for name, part in space.items()} == {
+        "light": (np.float32, ()),
+        "lit": (np.bool_, env.observe()["lit"].shape[1:]),
+    }
 
 
 def test_bonuses_and_their_counts_are_those_of_the_host():

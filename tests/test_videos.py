@@ -61,8 +61,12 @@ def test_a_success_and_a_failure_of_both_situations(
     assert page.count("data:image/gif;base64,") == len(files)
 
     again = (run / "videos/videos.json").read_bytes()
+    for name in ("failure.gif", "rarest_success.mp4"):
+        (run / "videos" / name).touch()
     recorder.record_run(run, load_agent(run, "cpu"), "gif")
     assert (run / "videos/videos.json").read_bytes() == again
+    there = {path.name for path in (run / "videos").iterdir()}
+    assert there == {*files, "videos.json", "failure.gif"}  # the last is a logger's
 
 
 def test_an_episode_is_played_again_as_it_was(run: Path) -> None:

@@ -202,7 +202,9 @@ def report(
 
     chosen = _checked(window, html)
     folders = [folders] if isinstance(folders, str | Path) else folders
-    target = None if output is None else Path(output)
+    target = None if output is None else Path(output).expanduser()
+    record = None if record is None else Path(record).expanduser()
+    html = Path(html).expanduser() if html else html
     runs, order = results.load_runs(folders), list[str]()
     if conditions is not None:
         names = split_names(conditions, runs) if isinstance(conditions, str) else conditions
@@ -211,9 +213,7 @@ def report(
         names = split_names(highlight, runs) if isinstance(highlight, str) else highlight
         highlight = chosen_runs(runs, names)[1]
     found = tables.score_tables(runs, chosen, order)
-    pages = (
-        [] if record is None else _pages(folders, [(target or Path()) / "report.md", Path(record)])
-    )
+    pages = [] if record is None else _pages(folders, [(target or Path()) / "report.md", record])
     checked = check_claims(found) if claims else []
     if show:
         shown = console()
@@ -246,7 +246,7 @@ def report(
                 texts[target / "claims.csv"] = csv_claims(checked)
         if record is not None:
             command = _command(folders, output, window, conditions, claims, record)
-            texts[Path(record)] = markdown.record(found, command, pages, checked, statistics)
+            texts[record] = markdown.record(found, command, pages, checked, statistics)
         # A page that is older than the tables beside it would be another report's.
         beside_tables = (target or Path()) / "report.html"
         page_files = {Path(html) if html else beside_tables} if html is not None else set()
@@ -356,6 +356,8 @@ def _report(words: list[str]) -> None:
         name, _, folder = word.partition("=")
         if name in ("run", "runs"):
             raise UserError(f"{word}: folders have no name here: python -m zipf.report {folder}")
+        if name not in ReportOptions.model_fields and Path(word).is_dir():
+            raise UserError(f"{word}: to name this folder, write ./{word}")
     options = read_options(ReportOptions, named)
     if not folders:
         raise UserError("name a run's folder, or one with runs at any depth, such as runs/")

@@ -101,6 +101,11 @@ def _spec(name: str, space: spaces.Space) -> specs.Array:
     """Raises ValueError: dm_env has no spec for such a space."""
     if isinstance(space, spaces.Discrete) and space.start == 0:
         return specs.DiscreteArray(int(space.n), dtype=space.dtype, name=name)
+    if isinstance(space, spaces.MultiDiscrete):
+        high = space.start + space.nvec - 1
+        return specs.BoundedArray(space.shape, space.dtype, space.start, high, name)
+    if isinstance(space, spaces.MultiBinary):
+        return specs.BoundedArray(space.shape, space.dtype, 0, 1, name)
     if not isinstance(space, spaces.Box):
         raise ValueError(f"observation {name!r} is {space}; dm_env has specs of arrays alone")
     if not np.isfinite([space.low, space.high]).any():

@@ -180,10 +180,16 @@ class ZipfVecEnv(VecEnv):
 
 def _names(space: spaces.Dict) -> dict[str, str]:
     """What the parts of an observation are called: without dots, and otherwise than attributes of
-    a module, by which PyTorch has a network for each part."""
-    names = with_underscores(space, r"\.")
+    a module, by which PyTorch has a network for each part. Raises ValueError: two would be called
+    the same."""
     taken = ModuleDict()
-    return {name: f"{other}_" if hasattr(taken, other) else other for name, other in names.items()}
+    names = {
+        name: f"{other}_" if hasattr(taken, other) else other
+        for name, other in with_underscores(space, r"\.").items()
+    }
+    if len(set(names.values())) < len(names):
+        raise ValueError(f"two observations would be called the same: {names}")
+    return names
 
 
 def _renamed(space: spaces.Dict, names: Mapping[str, str]) -> spaces.Dict:

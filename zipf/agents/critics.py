@@ -24,12 +24,11 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.options import Options, Positive
+from zipf.options import Fraction, Options, Positive
 from zipf.registry import Registry
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Risk = Literal["neutral", "averse", "seeking"]
-Level = Annotated[float, Field(gt=0, le=1)]
 
 
 class ScalarOptions(Options):
@@ -52,7 +51,7 @@ class HLGaussOptions(Options):
     high: Finite
     sigma: Positive
     risk: Risk
-    risk_level: Level
+    risk_level: Fraction
 
 
 class QuantileOptions(Options):
@@ -66,7 +65,7 @@ class QuantileOptions(Options):
     quantiles: Annotated[int, Field(ge=1)]
     kappa: Positive
     risk: Risk
-    risk_level: Level
+    risk_level: Fraction
 
 
 SCALAR = ScalarOptions(name="scalar")

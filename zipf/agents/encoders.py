@@ -120,7 +120,7 @@ class VectorEncoder(nn.Module):
 
     An entry with finite bounds is scaled from them to [-1, 1]. Any other becomes
     sign(x) log(1 + |x|) (symlog, Hafner et al. 2023), which leaves small numbers nearly as they are
-    and needs no statistics of the data.
+    and needs no statistics of the data. Both are computed in float64: bounds may be far from 0.
     """
 
     low: Tensor
@@ -136,8 +136,8 @@ class VectorEncoder(nn.Module):
             width = high - low
         bounded = width <= LARGEST_RANGE
         low, width = np.where(bounded, low, 0.0), np.where(bounded & (width > 0), width, 1.0)
-        self.register_buffer("low", torch.tensor(low, dtype=torch.float32), persistent=False)
-        self.register_buffer("width", torch.tensor(width, dtype=torch.float32), persistent=False)
+        self.register_buffer("low", torch.tensor(low), persistent=False)
+        self.register_buffer("width", torch.tensor(width), persistent=False)
         self.register_buffer("bounded", torch.tensor(bounded), persistent=False)
         layers: list[nn.Module] = []
         inputs = len(low)
@@ -148,9 +148,9 @@ class VectorEncoder(nn.Module):
         self.size = inputs
 
     def forward(self, *parts: Tensor) -> Tensor:
-        x = torch.cat([part.reshape(len(part), -1).float() for part in parts], -1)
+        x = torch.cat([part.reshape(len(part), -1).double() for part in parts], -1)
         scaled = 2 * (x - self.low) / self.width - 1
-        return self.layers(torch.where(self.bounded, scaled, x.sign() * x.abs().log1p()))
+        return self.layers(torch.where(self.bounded, scaled, x.sign() * x.abs().log1p()).float())
 
 
 def _bounds(space: gym.Space) -> tuple[np.ndarray, np.ndarray]:

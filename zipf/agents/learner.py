@@ -33,10 +33,9 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
-from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.agents.agent import Agent, AgentSpec
@@ -48,9 +47,7 @@ from zipf.agents.episodic import Dictionary, build_recorder
 from zipf.agents.memory import State
 from zipf.agents.network import Inputs, Torso, autocast, frozen_copy
 from zipf.agents.unroll import Unroll
-from zipf.options import Options, Positive
-
-Fraction = Annotated[float, Field(ge=0, lt=1)]
+from zipf.options import BelowOne, Options, Positive
 
 
 class LearnerOptions(Options):
@@ -58,8 +55,8 @@ class LearnerOptions(Options):
 
     name: str
     learning_rate: Positive
-    adam_beta1: Fraction
-    adam_beta2: Fraction
+    adam_beta1: BelowOne
+    adam_beta2: BelowOne
     adam_epsilon: Positive
     max_gradient_norm: Positive
 

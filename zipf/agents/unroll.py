@@ -73,7 +73,7 @@ def no_observations(space: gym.spaces.Dict, rows: int) -> dict[str, Tensor]:
         if part.dtype in (np.uint16, np.uint32, np.uint64):
             raise ValueError(
                 f"{name!r} of the observations is {part.dtype}, which cannot be kept: expected "
-                "uint8, a signed integer or a float"
+                "bool, uint8, a signed integer or a float"
             )
         zeros[name] = torch.from_numpy(np.zeros((rows, *(part.shape or ())), part.dtype))
     return zeros

@@ -24,10 +24,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
-from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.agents import fixed
@@ -38,7 +37,7 @@ from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, frozen_copy, sampled
 from zipf.agents.returns import lambda_returns
 from zipf.agents.unroll import Unroll, weighted
-from zipf.options import Context, Positive, Share, Size
+from zipf.options import Context, Fraction, Positive, Share, Size
 
 SMALLEST_DUAL = 1e-8  # Song et al. 2020
 
@@ -50,7 +49,7 @@ class VMPOOptions(LearnerOptions):
     dual_learning_rate: Positive
     discount: Share
     target_period: Size
-    top_fraction: Annotated[float, Field(gt=0, le=1)]
+    top_fraction: Fraction
     epsilon_eta: Positive
     epsilon_alpha: Positive
     initial_eta: Positive

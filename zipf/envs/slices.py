@@ -20,7 +20,7 @@ Make = Callable[..., ZipfVectorEnv]
 
 ALIKE = (
     "sliceable", "metadata", "reports_success", "achieves", "action_regions", "longest_episode",
-    "single_observation_space", "single_action_space", "situation", "_state_axis",
+    "time_limit", "single_observation_space", "single_action_space", "situation", "_state_axis",
 )  # fmt: skip
 """What the batch has as its slices do."""
 

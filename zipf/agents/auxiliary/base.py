@@ -14,18 +14,15 @@ To add one, derive from `Auxiliary` and register its options with a function tha
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import torch
-from pydantic import Field
 from torch import Tensor, nn
 
 from zipf.agents.encoders import Encoder
 from zipf.agents.network import Inputs
 from zipf.options import Options
 from zipf.registry import Registry
-
-Fraction = Annotated[float, Field(gt=0, le=1)]
 
 
 class AuxiliaryOptions(Options):
@@ -87,12 +84,13 @@ class Auxiliary(nn.Module):
             generator.manual_seed(self.seed + updates)
 
     def generator(self) -> torch.Generator:
-        """Of this update's draws, on the device of the parameters; to be called once an update."""
-        device = next(self.parameters()).device
-        if device.type == "cpu":
+        """Of this update's draws, on the device of the parameters, the CPU where there are none; to
+        be called once an update."""
+        parameter = next(self.parameters(), None)
+        if parameter is None or parameter.device.type == "cpu":
             return torch.Generator().manual_seed(self.seed + self.updates)
         if self._generator is None:
-            self._generator = torch.Generator(device)
+            self._generator = torch.Generator(parameter.device)
             self._generator.manual_seed(self.seed + self.updates)
         return self._generator
 

@@ -18,11 +18,11 @@ import torch.nn.functional as F
 from pydantic import Field
 from torch import Tensor, nn
 
-from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, Fraction, sample
+from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, sample
 from zipf.agents.encoders import Encoder, has_image
 from zipf.agents.network import Inputs, Torso, frozen_copy, head
 from zipf.agents.network_options import NetworkOptions
-from zipf.options import NotNegative, Share, Size
+from zipf.options import Fraction, NotNegative, Share, Size
 
 
 class BYOLSizes(AuxiliaryOptions):

@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from zipf.agents import fixed
-from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, Fraction, sample
+from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, sample
 from zipf.agents.averaging import average
 from zipf.agents.encoders import has_image, is_text, vocabulary
 from zipf.agents.image_networks import ResidualBlock, largest_patch
@@ -25,7 +25,7 @@ from zipf.agents.network_options import (
     ResNetOptions,
     ShallowOptions,
 )
-from zipf.options import NotNegative
+from zipf.options import Fraction, NotNegative
 
 
 class VisionOptions(AuxiliaryOptions):

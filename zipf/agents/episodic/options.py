@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from zipf.options import NotNegative, Options, Positive, Share
+from zipf.options import BelowOne, NotNegative, Options, Positive, Share
 
-Size = Annotated[int, Field(ge=1, le=2**16)]  # ours: as the sizes of networks
+Size = Annotated[int, Field(ge=1, le=2**16)]  # ours: far more than was ever tried
 Rows = Annotated[int, Field(ge=1, le=2**20)]  # ours: a gigabyte of the compact network's values
 
 
@@ -59,7 +59,7 @@ class MemOptions(DictionarySizes):
     temperature: Positive
     noise: NotNegative
     cutout: Share
-    loss_momentum: Annotated[float, Field(ge=0, lt=1)]
+    loss_momentum: BelowOne
     longer: NotNegative
 
 

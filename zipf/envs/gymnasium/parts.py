@@ -330,6 +330,8 @@ def _boxed(id: str, space: spaces.Box, name: str, path: tuple[Any, ...], reading
     if axes is not None:
         return _image(id, space, name, path, axes)
     dtype = _KEPT.get(space.dtype, space.dtype).newbyteorder("=")
+    if space.dtype in (np.uint32, np.uint64) and space.high.max() <= np.iinfo(np.int32).max:
+        dtype = np.dtype(np.int32)  # int64 would be read as words
     if dtype.kind == "i" and space.high.max() > np.iinfo(dtype).max:
         raise ValueError(
             f"{id}: observation {name!r} is {short(space)}: agents compute with whole numbers up "
@@ -347,7 +349,8 @@ def axes_of(id: str, space: spaces.Box, name: str) -> str | None:
 
     An image is uint8 or bool with two or three axes, of which two are at least 7 long. Of three
     axes the channels are the first or the last, if that one is the shortest and at most 16 long.
-    Bytes from 0 to some number in 2 .. 254 are codes.
+    Bytes from 0 to some number in 2 .. 254 are codes, but for those with 1, 3 or 4 channels last,
+    which networks read as an image unless `codes` names them.
 
     Raises:
         ValueError: it may be an image and its axes are not clear.

@@ -62,7 +62,9 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
     are at least 7 long. Of three axes the channels are the first or the last, if that one is the
     shortest and at most 16 long; what else may be an image is refused, and `image_axes` decides.
     Where the space is bool, or its bounds are 0 and 1, 1 becomes 255. Bytes from 0 to some number
-    in 2 .. 254 are codes. Any other Box keeps its shape, and its dtype but where PyTorch has none.
+    in 2 .. 254 are codes, but for those with 1, 3 or 4 channels last, which networks read as an
+    image unless `codes` names them. Any other Box keeps its shape, and its dtype but where PyTorch
+    has none.
     Floats are rounded to the precision of their space, and not held to its bounds, which many
     environments pass by a little; whole numbers have to be in their space.
     Text becomes int64 [text_length]: a code of 1 .. vocabulary - 1 for each word (or punctuation

@@ -73,5 +73,6 @@ def _space(env: TensorEnv) -> gym.spaces.Dict:
     space: dict[str, gym.Space] = {}
     for name, part in env.observe().items():
         dtype = np.dtype(str(part.dtype).removeprefix("torch."))
-        space[name] = gym.spaces.Box(0, np.iinfo(dtype).max, part.shape[1:], dtype.type)
+        high = np.iinfo(dtype).max if dtype.kind in "iu" else 1
+        space[name] = gym.spaces.Box(0, high, part.shape[1:], dtype.type)
     return gym.spaces.Dict(space)

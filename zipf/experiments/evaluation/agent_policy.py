@@ -16,14 +16,16 @@ class AgentPolicy:
         agent: acts as it does when it is scored, without exploration.
         seed: of the draws.
         device: where the agent computes.
+
+    Attributes:
         deterministic: take the most probable action in the place of a draw. An agent whose `act`
             returns no `logits`, such as R2D2, draws nothing when it is scored.
     """
 
-    def __init__(self, agent: Agent, *, seed: int, device: str, deterministic: bool = False):
+    def __init__(self, agent: Agent, *, seed: int, device: str):
         self.agent = agent
         self.device = device
-        self.deterministic = deterministic
+        self.deterministic = False
         self.generator = torch.Generator().manual_seed(seed)
 
     def start(self, num_envs: int) -> None:

@@ -263,8 +263,9 @@ def situations(results: Sequence[Result]) -> pd.DataFrame:
     """The rows of `situations.csv`: every situation met, levels of a kind taken together.
 
     Returns:
-        `level_kind`, the situation's ranks, `episodes`, `successes` (None where a level that the
-        situation was met on reports none) and `return_sum`; in the order of kinds and ranks.
+        `level_kind`, the ranks that all these levels have, `episodes`, `successes` (None where a
+        level that the situation was met on reports none) and `return_sum`; in the order of kinds
+        and ranks.
     """
     kinds = list(dict.fromkeys(result.kind for result in results))
     episodes = pd.concat(
@@ -278,7 +279,11 @@ def situations(results: Sequence[Result]) -> pd.DataFrame:
     )
     episodes["_unknown"] = episodes["successes"].isna()
     episodes["successes"] = episodes["successes"].fillna(0).astype(int)
-    ranks = [n for n in episodes if n not in (*OUTCOMES, "level_kind", "successes", "_unknown")]
+    ranks = [
+        name
+        for name in results[0].episodes
+        if name not in OUTCOMES and all(name in result.episodes for result in results)
+    ]
     table = episodes.groupby(["level_kind", *ranks], as_index=False, observed=True).agg(
         episodes=("return", "size"),
         successes=("successes", "sum"),

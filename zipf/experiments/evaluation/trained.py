@@ -93,13 +93,13 @@ class TrainedAgent:
             int for one environment, int64 [N] for N.
 
         Raises:
-            ValueError: other observations than the agent was trained with, another number of
-                environments than in the last call, or no reward.
+            ValueError: observations of other shapes or dtypes than the agent was trained with,
+                another number of environments than in the last call, or no reward.
         """
         alone = self._is_alone(observation)
         batch = {
-            name: np.asarray(observation[name])[None] if alone else np.asarray(observation[name])
-            for name in self.observation_space
+            name: _as_trained_with(name, observation[name], space, alone)
+            for name, space in self.observation_space.items()
         }
         count = len(next(iter(batch.values())))
         begins = self._acts_in is None
@@ -158,6 +158,16 @@ class TrainedAgent:
                 f"{known[1]}; those to play have {observation_space} and {action_space}"
             )
         return AgentPolicy(self.agent, seed=seed, device=self.config.torch_device)
+
+
+def _as_trained_with(name: str, part: ArrayLike, space: spaces.Space, alone: bool) -> NDArray:
+    """A part of an observation with an axis of environments, in the space's dtype. Raises
+    ValueError for another kind of numbers, such as an image in floats."""
+    array = np.asarray(part)
+    assert space.dtype is not None
+    if not np.can_cast(array.dtype, space.dtype, "same_kind"):
+        raise ValueError(f"act: observation {name!r} is {array.dtype}; should be {space.dtype}")
+    return np.ascontiguousarray(array[None] if alone else array, space.dtype)
 
 
 def load_agent(

@@ -19,7 +19,7 @@ from torch import Tensor
 from zipf.agents.unroll import Unroll
 from zipf.envs.goals import Goal
 from zipf.experiments.hooks.hook import Hook, Parts, Row, arrays
-from zipf.options import Context, Options
+from zipf.options import BelowOne, Context, Options, Share
 from zipf.registry import Registry
 
 
@@ -51,7 +51,7 @@ class InverseCountOptions(_Weights):
     1 makes all goals count the same, as far as `largest_weight` allows it."""
 
     name: Literal["inverse_count"]
-    power: Annotated[float, Field(ge=0, le=1)]
+    power: Share
 
 
 class EffectiveNumberOptions(_Weights):
@@ -59,7 +59,7 @@ class EffectiveNumberOptions(_Weights):
     beside 1 / (1 - beta), and alike beyond."""
 
     name: Literal["effective_number"]
-    beta: Annotated[float, Field(ge=0, lt=1)]
+    beta: BelowOne
 
 
 class GoalWeights:

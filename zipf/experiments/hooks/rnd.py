@@ -32,7 +32,7 @@ from zipf.agents.encoders import is_image
 from zipf.experiments.hooks.bonus import Bonus
 from zipf.experiments.hooks.hook import Parts, arrays
 from zipf.experiments.hooks.kernels import means_of_squares
-from zipf.options import Options
+from zipf.options import BelowOne, Fraction, Options, Positive
 
 Size = Annotated[int, Field(ge=1, le=2**16)]
 
@@ -50,14 +50,14 @@ class RNDOptions(Options):
     """
 
     name: Literal["rnd"]
-    scale: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    scale: Positive
     hidden: Size
     features: Size
     image_side: Size
-    learned_share: Annotated[float, Field(gt=0, le=1)]
+    learned_share: Fraction
     batch_size: Size
-    learning_rate: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    discount: Annotated[float, Field(ge=0, lt=1)]
+    learning_rate: Positive
+    discount: BelowOne
 
 
 class RNDBonus(Bonus):

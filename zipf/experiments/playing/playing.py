@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import secrets
 from collections.abc import Callable, Iterator
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from zipf import envs
 from zipf.envs.keyboard import Keys
@@ -53,7 +54,7 @@ class PlayOptions(Options):
     level: Annotated[str, Field(min_length=1)] | None = None
     run: Annotated[str, Field(min_length=1)] | None = None
     policy: Literal["keyboard", "random", envs.Scripted, "agent"] | None = None
-    record: Annotated[str, Field(min_length=1)] | None = None
+    record: Annotated[str, Field(min_length=1), AfterValidator(os.path.expanduser)] | None = None
     episodes: PositiveInt | None = None
     plugins: str = ""
     seed: Seed | None = None

@@ -122,9 +122,11 @@ def record_run(folder: Path, trained: TrainedAgent, format: VideoFormat) -> vide
     target = folder / video_files.FOLDER
     with writing(target):
         target.mkdir(exist_ok=True)
-        for path in sorted(target.iterdir()):
-            if path.name == video_files.NAME or path.suffix[1:] in VIDEO_FORMATS:
-                path.unlink()
+        (target / video_files.NAME).unlink(missing_ok=True)
+        for name, *_ in SITUATIONS:
+            for outcome in OUTCOMES:
+                for ending in VIDEO_FORMATS:
+                    (target / f"{name}_{outcome}.{ending}").unlink(missing_ok=True)
         parts = []
         for name, title, extreme in SITUATIONS:
             situation = find_situation(trained, extreme)

@@ -14,8 +14,8 @@ those in a run's folder after it.
 
 Cells of the first two hold JSON, and text without quotes where that cannot be misread; an empty one
 is an entry that a run does not have. Every run's rows are compressed by themselves and without the
-time, so that the same runs give the same bytes, and a further run leaves those of others as they
-are.
+time, so that the same runs give the same bytes, and a further run with the same columns and levels
+leaves those of others as they are.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ import pandas as pd
 
 from zipf.errors import UserError
 from zipf.experiments.records.csv_files import read_texts
+from zipf.experiments.records.replacing import replace_bytes
 from zipf.experiments.records.result_table import TABLES
 
 SUFFIX = ".gz"
@@ -233,8 +234,9 @@ def _texts(path: Path, columns: Sequence[str] = ("run",)) -> pd.DataFrame:
 
 
 def _write(path: Path, columns: Sequence[str], parts: Iterable[Sequence[Sequence[Any]]]) -> None:
-    with open(path, "wb") as file:
-        for rows in ([columns], *parts):
-            text = io.StringIO()
-            csv.writer(text, lineterminator="\n").writerows(rows)
-            file.write(gzip.compress(text.getvalue().encode(), mtime=0))
+    compressed = []
+    for rows in ([columns], *parts):
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(rows)
+        compressed.append(gzip.compress(text.getvalue().encode(), mtime=0))
+    replace_bytes(path, b"".join(compressed))

@@ -7,12 +7,17 @@ from pathlib import Path
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Writes a text file, UTF-8, in the place of the one that may be there, which stays as it is
-    until the new one is on the disk. Raises OSError: it cannot be written."""
+    """`replace_bytes` of a text in UTF-8."""
+    replace_bytes(path, text.encode())
+
+
+def replace_bytes(path: Path, content: bytes) -> None:
+    """Writes a file in the place of the one that may be there, which stays as it is until the new
+    one is on the disk. Raises OSError: it cannot be written."""
     replacement = path.with_name(f"{path.name}.new")
     try:
-        with open(replacement, "w", encoding="utf-8", newline="") as file:
-            file.write(text)
+        with open(replacement, "wb") as file:
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         replacement.replace(path)

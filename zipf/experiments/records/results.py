@@ -111,11 +111,12 @@ def load_runs(folders: Iterable[str | Path]) -> list[Run]:
     those of records; a folder may be one within a record. Links are followed; a run that is found
     twice counts once. Raises UserError: a folder does not exist, cannot be read or holds no run, or
     a run's files are damaged."""
-    roots = [Path(folder) for folder in folders]
+    roots = [Path(folder).expanduser() for folder in folders]
     found: dict[Path, Run | Path] = {}
     for folder in roots:
         try:
-            around = next((one for one in (folder, *folder.parents) if record.is_there(one)), None)
+            real = folder.resolve()
+            around = next((one for one in (folder, *real.parents) if record.is_there(one)), None)
             if around is None and not folder.is_dir():
                 what = "is a file: give a run's folder, or one above it"
                 raise UserError(
@@ -201,14 +202,15 @@ def load_run(folder: Path) -> Run:
 
 
 def load_record(folder: Path, within: Path | None = None) -> list[Run]:
-    """The runs of the record in `folder`; only those within another folder if one is named.
-    Raises UserError: one of its files is damaged."""
+    """The runs of the record in `folder`; only those within another folder if one is named, which
+    may be a link or hold the record. Raises UserError: one of its files is damaged."""
     kept = record.read(folder)
+    real, within = folder.resolve(), (within or folder).resolve()
     places = {"config.yaml": folder / record.OPTIONS}
     places |= {name: folder / f"{name}{record.SUFFIX}" for name in TABLES}
     runs = []
     for name, values in kept.runs.items():
-        if within is not None and not (folder / name).is_relative_to(within):
+        if not (real / name).is_relative_to(within):
             continue
         try:
             description = RunDescription.model_validate_json(json.dumps(values))
@@ -282,6 +284,12 @@ def _evaluations(path: Path, texts: pd.DataFrame, description: RunDescription) -
                 f"{unknown['level'].iloc[0]!r}; by run.json the run has "
                 f"{', '.join(known) or 'none of this kind'}"
             )
+    again = rows[rows.duplicated(["update", "level_kind", "level"])]
+    if len(again):
+        update, _, level = again[["update", "level_kind", "level"]].iloc[0]
+        raise UserError(
+            f"{path.as_posix()}, line {again.index[0]}: {level} at update {update} a second time"
+        )
     return _in_order(rows)
 
 

@@ -14,13 +14,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from zipf.errors import UserError
 from zipf.experiments.records.csv_files import plain, read_bytes
-from zipf.experiments.records.descriptions import first_problem
+from zipf.experiments.records.descriptions import Count, first_problem
 
 FOLDER = "videos"
 NAME = "videos.json"
 Outcome = Literal["success", "failure"]
 OUTCOMES: tuple[Outcome, ...] = ("success", "failure")
-Count = Annotated[int, Field(ge=0, lt=10**15)]
 
 _MEDIA: Mapping[str, str] = {".gif": "image/gif", ".mp4": "video/mp4"}
 

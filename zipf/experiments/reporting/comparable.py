@@ -9,7 +9,6 @@ own there, never pooled with runs of this package.
 
 from __future__ import annotations
 
-import fnmatch
 import json
 import re
 import textwrap
@@ -138,19 +137,25 @@ def value_text(value: Any) -> str:
     return str(value)
 
 
+def names_of(run: Run) -> tuple[str, str]:
+    """What `conditions=` may call a run's condition: its name and its title."""
+    return run.description.condition, run.description.row.title
+
+
 def chosen_runs(runs: Sequence[Run], names: Sequence[str]) -> tuple[list[Run], list[str]]:
     """The runs of these conditions, and the conditions in the order of `names`: names or titles of
     conditions, in which * stands for anything.
     Raises UserError: a name is of no condition of these runs."""
-    known: dict[str, str] = {}  # conditions, by title as well
-    for run in runs:
-        known[run.description.condition] = run.description.condition
-        known.setdefault(run.description.row.title, run.description.condition)
     found: list[str] = []
     for name in names:
-        matching = [known[one] for one in known if fnmatch.fnmatchcase(one.lower(), name.lower())]
+        asked = re.compile(".*".join(re.escape(part) for part in name.lower().split("*")))
+        matching = [
+            run.description.condition
+            for run in runs
+            if any(asked.fullmatch(one.lower()) for one in names_of(run))
+        ]
         if not matching:
-            there = ", ".join(dict.fromkeys(known.values()))
+            there = ", ".join(dict.fromkeys(run.description.condition for run in runs))
             raise UserError(f"{name}: no such condition; there are {there}")
         found += matching
     order = list(dict.fromkeys(found))
@@ -159,12 +164,14 @@ def chosen_runs(runs: Sequence[Run], names: Sequence[str]) -> tuple[list[Run], l
 
 def split_names(text: str, runs: Sequence[Run]) -> list[str]:
     """A list of conditions as it is written on a command line. Names may have commas themselves:
-    as many parts as make the name of a condition of these runs belong together."""
-    known = {run.description.condition for run in runs}
-    parts, names = text.strip("[]").split(","), []
+    as many parts as make a name or a title of a condition of these runs belong together."""
+    known = {name.lower() for run in runs for name in names_of(run)}
+    if text.lower() not in known and text.startswith("[") and text.endswith("]"):
+        text = text[1:-1]
+    parts, names = text.split(","), []
     while parts:
         lengths = range(len(parts), 1, -1)
-        length = next((n for n in lengths if ",".join(parts[:n]).strip() in known), 1)
+        length = next((n for n in lengths if ",".join(parts[:n]).strip().lower() in known), 1)
         names.append(",".join(parts[:length]).strip())
         parts = parts[length:]
     return names

@@ -191,18 +191,15 @@ def page(sections: Sequence[Section]) -> str:
 def table_section(found: SeedStatistics, looks: Looks, name: str) -> Section:
     """Scores, figures and runs of a table; `name` is unique in the page."""
     table = found.table
-    colours = {row.title: looks.styles[row.agent].colour for row in table.rows}
+    drawn = {row: looks.of(table, row).colour.lower() for row in table.rows}
+    drawn = {row: PAGE_COLOURS.get(colour, colour) for row, colour in drawn.items()}
+    colours = {row.title: colour for row, colour in drawn.items()}
     blocks: list[Block] = [cells_of(main_grid(table), "Scores", colours=colours)]
     blocks += [cells_of(grid, folded=True) for grid in lower_grids(table)]
     blocks.append(Text(caption(table)))
     if table.notes:
         blocks.append(Notes(table.notes))
-    seen = {row: looks.of(table, row).colour.lower() for row in table.rows}
-    blocks.append(
-        Lines(
-            [(f"row {row.key}", row.title, PAGE_COLOURS.get(seen[row], seen[row])) for row in seen]
-        )
-    )
+    blocks.append(Lines([(f"row {row.key}", row.title, drawn[row]) for row in drawn]))
     blocks += _figures(found, looks, name)
     pairs = [(row, run) for row in table.rows for run in row.runs]
     lines = [run_cells(row, run) for row, run in pairs]

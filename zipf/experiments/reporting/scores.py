@@ -135,7 +135,7 @@ def _score(runs: Sequence[Run], levels: LevelGroup, window: Window) -> dict[str,
     elif runs[0].description.spread == "seeds":
         measured = _across_seeds(list(scored.values()))
     else:
-        measured = _across_tasks(scored, levels)
+        measured = _across_tasks(list(scored), levels, window)
     return effort | {"capped_score": np.nan, "capped_error": np.nan} | measured
 
 
@@ -143,6 +143,14 @@ def means_inside(run: Run, levels: LevelGroup, window: Window) -> pd.DataFrame:
     """A run's `mean_scores` on these levels at the evaluations inside a window."""
     means = run.mean_scores(levels)
     return means[means["update"].isin(evaluations_inside(run, window)["update"])]
+
+
+def level_medians(run: Run, levels: LevelGroup, window: Window) -> pd.Series:
+    """The median of a run's scores on each of these levels, by level, over the evaluations inside a
+    window that scored them all; empty where there is none."""
+    rows = run.evaluations_of(levels)
+    rows = rows[rows["update"].isin(evaluations_inside(run, window)["update"])]
+    return rows.groupby("level")["score"].median()
 
 
 def seed_means(row: Row, levels: LevelGroup, window: Window) -> dict[int, float]:
@@ -164,12 +172,8 @@ def _across_seeds(scored: Sequence[pd.DataFrame]) -> dict[str, float]:
     }
 
 
-def _across_tasks(scored: Mapping[Run, pd.DataFrame], levels: LevelGroup) -> dict[str, float]:
-    of_seeds = []  # by level
-    for run, means in scored.items():
-        rows = run.evaluations_of(levels)
-        rows = rows[rows["update"].isin(means["update"])]
-        of_seeds.append(rows.groupby("level")["score"].median())
+def _across_tasks(runs: Sequence[Run], levels: LevelGroup, window: Window) -> dict[str, float]:
+    of_seeds = [level_medians(run, levels, window) for run in runs]
     of_levels = pd.concat(of_seeds, axis=1).median(axis=1)[list(levels.weights)]
     weights, equal = list(levels.weights.values()), np.ones(len(levels.weights))
     found = {
@@ -178,7 +182,7 @@ def _across_tasks(scored: Mapping[Run, pd.DataFrame], levels: LevelGroup) -> dic
         "plain_score": weighted_mean(of_levels, equal),
         "plain_error": standard_error(of_levels, equal),
     }
-    if _capped(next(iter(scored)), levels):
+    if _capped(runs[0], levels):
         capped = np.minimum(of_levels, CAP)
         found["capped_score"] = weighted_mean(capped, weights)
         found["capped_error"] = standard_error(capped, weights)

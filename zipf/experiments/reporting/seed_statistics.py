@@ -18,7 +18,7 @@ from zipf.experiments.records.wording import KIND_NAMES, NONE, count_text, score
 from zipf.experiments.reporting.claim_checks import LEARNED
 from zipf.experiments.reporting.comparable import Row
 from zipf.experiments.reporting.grids import Grid, Line
-from zipf.experiments.reporting.scores import fewest_seeds, floor
+from zipf.experiments.reporting.scores import fewest_seeds, floor, level_medians
 from zipf.experiments.reporting.statistics import (
     FEWEST_SEEDS,
     RESAMPLES,
@@ -28,7 +28,7 @@ from zipf.experiments.reporting.statistics import (
     interquartile_mean,
 )
 from zipf.experiments.reporting.tables import ScoreTable
-from zipf.experiments.reporting.windows import evaluations_inside, situations_inside
+from zipf.experiments.reporting.windows import situations_inside
 
 STATISTICS_COLUMNS = (
     "table", "experiment", "condition", "title", "external", "level_kind", "statistic", "against",
@@ -54,12 +54,8 @@ class SeedStatistics:
 def seed_scores(row: Row, levels: LevelGroup, table: ScoreTable) -> NDArray[np.float64]:
     """A row's scores [seeds, levels]: of each seed the median over the window on each level.
     Without the seeds that have no score in the window, as in the table."""
-    found = []
-    for run in row.runs:
-        scored = run.evaluations_of(levels)
-        scored = scored[scored["update"].isin(evaluations_inside(run, table.window)["update"])]
-        if len(scored):
-            found.append(scored.groupby("level")["score"].median()[list(levels.weights)])
+    medians = [level_medians(run, levels, table.window) for run in row.runs]
+    found = [one[list(levels.weights)] for one in medians if len(one)]
     return np.array(found, float).reshape(len(found), len(levels.weights))
 
 
@@ -67,7 +63,7 @@ def statistics_frame(table: ScoreTable) -> pd.DataFrame:
     """All statistics of a table that have two seeds, in the columns of `statistics.csv`.
 
     A probability of improvement has the row that is the better one in `condition` and the other in
-    `against`, its condition; every pair of rows stands there once.
+    `against`, its condition, with † for an external agent; every pair of rows stands there once.
     """
     lines = []
 
@@ -213,19 +209,22 @@ def _improvements(table: ScoreTable, frame: pd.DataFrame) -> Grid | None:
 
 
 def _rare_situations(table: ScoreTable) -> Grid | None:
-    """Success in each situation of the rare levels; None where it is not known."""
+    """Success in each situation of the rare levels, of the rows that met all that any row did; None
+    where there is no such row."""
     rates = {row: success_by_situation(row, table) for row in table.rows}
     names = sorted({name for found in rates.values() for name in found.columns})
     if not 1 < len(names) <= MOST_SITUATIONS:
         return None
     lines = []
     for row, found in rates.items():
-        if len(found):
+        if set(found.columns) == set(names):
             value, low, high = bootstrap_of_situations(found)
             enough = len(found) >= FEWEST_SEEDS
             mean = estimate_text(value, low, high) if enough else score_text(value)
             each = ["/".join(score_text(p) for p, _ in found[name]) for name in names]
             lines.append(Line([row.title, mean], each, [NONE] * len(names)))
+    if not lines:
+        return None
     ranks = ", ".join(table.runs[0].situation_names[: len(names[0])])
     shown = ["–".join(map(str, name)) for name in names]
     title = f"success in rare situations ({ranks})"

@@ -34,15 +34,10 @@ def rank_counts(table: ScoreTable) -> dict[str, int]:
     return {name: size for run in table.runs for name, size in run.description.situation.items()}
 
 
-def rates(
-    table: ScoreTable,
-    ranks: Sequence[str],
-    level_kind: str = "uniform",
-    measure: Measure = "success",
-) -> pd.DataFrame:
+def rates(table: ScoreTable, ranks: Sequence[str], measure: Measure = "success") -> pd.DataFrame:
     """Success or mean return at the named ranks of the situation, pooled over window and seeds.
 
-    On the uniform levels, by default: there every situation weighs the same, so that what is
+    On the uniform levels: there every situation weighs the same, so that what is
     measured at one rank is not a mixture that follows the law of the others.
 
     Returns:
@@ -57,7 +52,7 @@ def rates(
     parts = []
     for number, run in enumerate(table.runs):
         if set(ranks) <= set(run.situation_names):
-            situations = _on_kind(situations_inside(run, table.window), level_kind)
+            situations = _on_kind(situations_inside(run, table.window), "uniform")
             parts.append(situations.assign(row_key=run.description.row_key, run_number=number))
     columns = [*keys, "run_number", "update", "episodes", summed]
     pooled = (

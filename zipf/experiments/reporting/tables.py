@@ -251,7 +251,7 @@ def _window_notes(run: Run, window: Window) -> list[str]:
     if isinstance(window, UpdateWindow) and run.updates < window.end:
         found.append(
             f"at update {count_text(run.updates)}, before the window's end: scored "
-            f"over the {number} evaluations so far."
+            f"over the {number} evaluation{'s' if number > 1 else ''} so far."
         )
     return found
 

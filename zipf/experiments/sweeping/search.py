@@ -376,6 +376,8 @@ def _dimension(override: Override) -> Dimension:
         raise UserError(f"{line}: no such tag as {min(unknown)}; should be log or int")
     if not -math.inf < low < high < math.inf:
         raise UserError(f"{line}: should be two numbers, the smaller one first")
+    if whole and not (float(low).is_integer() and float(high).is_integer()):
+        raise UserError(f"{line}: an interval of whole numbers should have whole ends")
     if log and low <= 0:
         raise UserError(f"{line}: a logarithmic interval should begin above 0")
     return Dimension(option, (), low, high, whole, log)

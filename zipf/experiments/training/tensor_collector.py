@@ -84,7 +84,8 @@ class TensorCollector(Collector):
             for name, part in (self._memory if self._bootstraps else {}).items()
         }
         self._cut = torch.zeros(env.num_envs, dtype=torch.int64, device=self.device)
-        self.outcomes = torch.zeros(1 + len(OUTCOMES), dtype=torch.float64, device=self.device)
+        self.reported = [name for name in OUTCOMES if name != "success" or env.reports_success]
+        self.outcomes = torch.zeros(1 + len(self.reported), dtype=torch.float64, device=self.device)
         self.ranks = dict(env.situation)
         sizes = int(np.prod(list(self.ranks.values())))
         self.met = torch.zeros(sizes, dtype=torch.int64, device=self.device)
@@ -183,7 +184,7 @@ class TensorCollector(Collector):
     def _record(self, outcome: Codes, ended: Tensor) -> None:
         """Adds the outcomes of the episodes that ended."""
         sums = [ended.sum(dtype=torch.float64)]
-        sums += [(outcome[name].double() * ended).sum() for name in OUTCOMES]
+        sums += [(outcome[name].double() * ended).sum() for name in self.reported]
         self.outcomes.add_(torch.stack(sums))
         if self.ranks:
             index = torch.zeros_like(self._one)
@@ -245,7 +246,7 @@ class Tally:
         self._outcomes.zero_()
         return {
             f"episode_{name}": total / count if count else float("nan")
-            for name, total in zip(OUTCOMES, sums, strict=True)
+            for name, total in zip(self._collector.reported, sums, strict=True)
         }
 
     @property
