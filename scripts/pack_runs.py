@@ -144,6 +144,9 @@ def run_folders(runs: Path) -> list[Path]:
     """The folders of runs below a folder, sorted."""
     if not runs.is_dir():
         raise PackingError(f"{runs}: is no folder")
+    for path in runs.rglob("*"):
+        if path.is_symlink() and path.is_dir():
+            raise PackingError(f"{path}: is a link; put the folder itself there")
     found = {path.parent for name in ("run.json", "checkpoint.pt") for path in runs.rglob(name)}
     if runs in found:
         raise PackingError(f"{runs}: is itself a run; give the folder of runs that it is in")
@@ -162,11 +165,11 @@ def hold(path: Path, stack: ExitStack) -> None:
 
 
 def files_of(folder: Path) -> Iterator[Path]:
-    """All files of a run but its lock, sorted."""
+    """All files of a run but its lock and what was not written to its end, sorted."""
     for path in sorted(folder.rglob("*")):
         if path.is_symlink():
             raise PackingError(f"{path}: is a link; put the file itself there")
-        if path.is_file() and path != folder / "lock":
+        if path.is_file() and path != folder / "lock" and path.suffix != ".new":
             yield path
 
 

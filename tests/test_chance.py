@@ -95,6 +95,13 @@ def test_what_a_blind_policy_scores() -> None:
         assert blind is not None
         assert blind.score == pytest.approx(score)
         assert blind.episodes is None
+    for steps in (5, 20):  # it is no faster than the expert
+        short, expert = (
+            baseline(n, "gridworld/zipf_2", max_steps=steps) for n in ("blind", "expert")
+        )
+        assert short is not None
+        assert expert is not None
+        assert 0 < short.score < min(expert.score, expected["gridworld/zipf_2"])
     zipf3 = np.arange(1, 51) ** -3.0 / (np.arange(1, 51) ** -3.0).sum()
     coin = baseline(
         "blind", "playroom/supervised/find_shape_zipf3", max_steps=100, image_size=(9, 9)

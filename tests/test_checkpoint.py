@@ -118,6 +118,20 @@ except UserError as error:
 """
 
 
+def test_a_second_signal_leaves_no_half_of_a_checkpoint(tmp_path, monkeypatch):
+    path = tmp_path / "checkpoint.pt"
+    checkpoint.save(path, {"update": 1})
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(torch, "save", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        checkpoint.save(path, {"update": 2})
+    assert checkpoint.load(path) == {"update": 1}
+    assert [file.name for file in tmp_path.iterdir()] == ["checkpoint.pt"]
+
+
 @pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="no limits on file sizes here")
 def test_a_disk_that_fills_up_leaves_the_old_checkpoint(tmp_path):
     path = tmp_path / "checkpoint.pt"

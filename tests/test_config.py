@@ -268,6 +268,21 @@ MISTAKES = [
     (["experiment=demo", "name=a/b"], ["name=a/b", "folder"]),
     (["experiment=demo", "name=''"], ["name=", "folder"]),
     (["experiment=demo", "name=1"], ["name=1", "quote"]),
+    (["experiment=demo", f"name='{'é' * 200}'"], ["at most 255 bytes"]),
+    (["experiment=demo", "compile=maybe"], ["compile=maybe: should be a valid boolean"]),
+    (["experiment=demo", "seed=1,"], ["seed=1,: ends in a comma"]),
+    (
+        ["experiment=playroom_lift_compact", "runtime=ray", "threads=2"],
+        ["threads=2: with runtime=ray each actor steps its envs; leave it out"],
+    ),
+    (
+        [
+            "experiment=demo",
+            "pretrained.run=results/gridworld_conditions/impala_mlp/seed1",
+            "pretrained.parts=[encodr]",
+        ],
+        ["pretrained.parts: no part 'encodr'; the network has encoder, memory"],
+    ),
     (["experiment=demo", f"name={'x' * 300}"], ["too long", "name=<name>"]),
     (["experiment=demo", "condition=impla"], ["condition=impla", "impala", "name=<name>"]),
     (["experiment=demo", "values=demo"], ["values", "no such option"]),

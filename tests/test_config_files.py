@@ -63,10 +63,21 @@ def folder(tmp_path, monkeypatch):
             path = tmp_path / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(textwrap.dedent(text))
-        config_files.add_folder(tmp_path)
+        config_files.use_folder(tmp_path)
         return tmp_path
 
     return fill
+
+
+def test_one_folder_takes_the_place_of_another(tmp_path, monkeypatch):
+    monkeypatch.setattr(config_files, "_user_folders", [])
+    usual = config_files.folders()
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        config_files.use_folder(tmp_path / name)
+        assert config_files.folders() == [(tmp_path / name).resolve(), *usual]
+    config_files.use_folder(None)
+    assert config_files.folders() == usual
 
 
 def values(*overrides):

@@ -1,3 +1,4 @@
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -48,10 +49,14 @@ def test_distributions_are_probabilities(n: int, exponent: float) -> None:
         assert p.sum() == pytest.approx(1)
 
 
-@pytest.mark.parametrize("exponent", [-0.1, float("nan"), float("inf"), None, "2", True])
+@pytest.mark.parametrize("exponent", [-0.1, float("nan"), float("inf"), 10**400, None, "2", True])
 def test_bad_exponents_are_refused(exponent: Any) -> None:
     with pytest.raises(ValueError, match="exponent"):
         zipfian(20, exponent)
+
+
+def test_exponents_of_other_types_are_numbers() -> None:
+    np.testing.assert_array_equal(zipfian(3, Fraction(3, 2)), zipfian(3, 1.5))
 
 
 def test_empty_distributions_are_refused() -> None:

@@ -64,6 +64,7 @@ def test_options_reach_the_environment() -> None:
         ("gridwrld/zipf_2", "did you mean 'gridworld/zipf_2'"),
         ("zipf_2", "did you mean 'gridworld/zipf_2'"),
         ("gridworld", "unknown level 'gridworld'"),
+        ("playroom/playroom/lift/lift_shape_zipf3", "unknown level 'playroom/playroom/lift"),
         ("", "expected one of gridworld/zipf_2"),
     ],
 )

@@ -102,7 +102,7 @@ def test_options_from_outside_the_package_have_a_line_too(tmp_path, monkeypatch)
         "mine:\n  choose:\n    memory: gtrxl  # why\n"
         "  memory:\n    gtrxl:\n      layers: 3  # tried\n"
     )
-    config_files.add_folder(tmp_path)
+    config_files.use_folder(tmp_path)
     found = explaining.explain(["experiment=demo_conditions", "condition=mine"])
     known = {one.option: one for one in found}
     for option, line, comment in (("memory.layers", 6, "tried"), ("memory.name", 3, "why")):

@@ -49,13 +49,18 @@ def test_walks_hold_their_actions() -> None:
     assert (played == 1).mean() == pytest.approx(0.5, abs=0.02)
 
 
-@pytest.mark.parametrize("text", ["action 1", "actions", "actions 1*0", "walk of 1", "expert"])
+@pytest.mark.parametrize(
+    "text", ["action 1", "actions", "actions 1*0", "walk of 1", "walk 5 of 0", "expert"]
+)
 def test_what_is_no_policy_is_refused(text: str) -> None:
     arena = floors.Arena("gridworld/uniform", rows=2)
     with pytest.raises(ValueError, match="is no policy: expected 'actions"):
         floors.play([text], arena, episodes=2)
     with pytest.raises(ValueError, match="there are actions 0 to 7"):
         floors.play(["actions 8"], arena, episodes=2)
+    for long in (f"actions 1*{floors.LONGEST + 1}", "walk 0.9 of 0 1 2 3 4 5 6 7 0"):
+        with pytest.raises(ValueError, match="actions: at most"):
+            floors.play([long], arena, episodes=2)
     with pytest.raises(ValueError, match="episodes must be at least 2"):
         floors.play(["actions 1"], arena, episodes=1)
 

@@ -9,6 +9,7 @@ from scipy import stats
 
 from zipf import envs
 from zipf.envs import make, make_vec
+from zipf.envs.episodes import play_episodes
 from zipf.envs.labyrinth import benchmark
 from zipf.envs.labyrinth.labyrinth_env import LabyrinthEnv
 from zipf.envs.labyrinth.levels import LEVELS
@@ -75,6 +76,19 @@ def test_splits() -> None:
             assert one.score([level.random]) == pytest.approx(0)
 
 
+def test_scripted_players_play_levels_with_options_of_their_own() -> None:
+    watermaze, rooms = "labyrinth/rooms_watermaze", "labyrinth/rooms_collect_good_objects_train"
+    first = envs.SplitLevel(watermaze, options={"max_steps": 300})
+    split = envs.Split("mine", [first, envs.SplitLevel(rooms)], draw="resets")
+    env = envs.make_scored(split, split.train[1], 2, image_size=(2, 2))
+    with pytest.raises(ValueError, match="plays levels with the same options"):
+        envs.scripted("expert", "labyrinth/uniform", env)
+    policy = envs.scripted("expert", rooms, env)
+    assert policy is not None
+    returns = play_episodes(env, lambda *_: policy(), 2, seed=0)["return"]
+    assert min(returns) > 3
+
+
 @pytest.mark.parametrize("of", ["chance", "generalist", "expert"])
 def test_references_are_the_tasks_mean(of: str) -> None:
     every = [envs.baseline(of, f"labyrinth/{name}") for name in LEVELS]
@@ -116,7 +130,7 @@ def test_unknown_levels(name: str) -> None:
 
 @pytest.mark.parametrize("level", [3, None, ["zipf1"]])
 def test_a_level_that_is_no_name_is_refused(level: Any) -> None:
-    for made in (benchmark.check, LabyrinthEnv, partial(benchmark.make_vec, 2)):
+    for made in (benchmark.law, LabyrinthEnv, partial(benchmark.make_vec, 2)):
         with pytest.raises(
             ValueError, match=r"level must be a name, got .*expected one of forward"
         ):

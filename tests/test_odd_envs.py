@@ -300,7 +300,7 @@ def _own(monkeypatch: pytest.MonkeyPatch, configs: Path) -> Iterator[None]:
     monkeypatch.setattr(family, "_FAMILIES", dict(family._FAMILIES))
     monkeypatch.setattr(feasibility, "_tried", {})
     monkeypatch.setattr(config_files, "_user_folders", [])
-    config_files.add_folder(configs)
+    config_files.use_folder(configs)
     yield
     gym.registry.pop("Odd-v0", None)
 

@@ -105,6 +105,17 @@ def test_what_clusters_send_stops_with_a_checkpoint_however_often(number: signal
     assert signal.getsignal(number) is signal.SIG_DFL
 
 
+def test_a_signal_that_comes_while_a_line_is_written_is_heard() -> None:
+    def busy(line: str) -> None:
+        raise RuntimeError("reentrant call inside <_io.BufferedWriter>")
+
+    with StopSignals(busy) as stop:
+        signal.raise_signal(signal.SIGTERM)
+        assert stop.requested == signal.SIGTERM
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+
+
 def test_a_handler_of_somebody_elses_stays() -> None:
     received: list[int] = []
     own = lambda number, frame: received.append(number)  # noqa: E731

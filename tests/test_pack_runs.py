@@ -126,10 +126,23 @@ def test_a_run_that_is_being_trained_is_not_packed(runs, tmp_path):
 
 
 def test_a_failure_leaves_no_parts(runs, tmp_path):
-    (runs / "demo" / "impala" / "seed1" / "zlink").symlink_to(runs)
+    (runs / "demo" / "impala" / "seed1" / "zlink").symlink_to(runs / "report" / "index.html")
     with pytest.raises(pack_runs.PackingError, match="zlink: is a link"):
         pack_runs.pack(runs, tmp_path / "packed", 8192)
     assert list((tmp_path / "packed").iterdir()) == []
+
+
+def test_a_link_to_runs_is_refused(runs, tmp_path):
+    (runs / "demo" / "elsewhere").symlink_to(runs / "demo" / "impala")
+    with pytest.raises(pack_runs.PackingError, match="elsewhere: is a link; put the folder itself"):
+        pack_runs.pack(runs, tmp_path / "packed", 8192)
+
+
+def test_what_was_not_written_to_its_end_is_left_out(runs, tmp_path):
+    (runs / "demo" / "impala" / "seed1" / "checkpoint.pt.new").write_bytes(b"half")
+    pack_runs.pack(runs, tmp_path / "packed", 2**20)
+    pack_runs.unpack(tmp_path / "packed", tmp_path / "there")
+    assert not any(name.endswith(".new") for name in files(tmp_path / "there"))
 
 
 @pytest.mark.parametrize(

@@ -202,7 +202,7 @@ def test_worlds_that_no_plugin_has_registered_are_told_how_to(folder):
 def test_mistakes_in_a_users_row_are_one_clear_line(row, message, tmp_path, monkeypatch):
     monkeypatch.setattr(config_files, "_user_folders", [])
     (tmp_path / "condition.yaml").write_text(f"mine: {{row: {row}}}\n")
-    config_files.add_folder(tmp_path)
+    config_files.use_folder(tmp_path)
     with pytest.raises(UserError, match=message) as error:
         loading.load(["experiment=demo", "condition=mine"])
     assert len(str(error.value).splitlines()) == 1
@@ -211,7 +211,7 @@ def test_mistakes_in_a_users_row_are_one_clear_line(row, message, tmp_path, monk
 def test_a_condition_needs_no_title(tmp_path, monkeypatch):
     monkeypatch.setattr(config_files, "_user_folders", [])
     (tmp_path / "condition.yaml").write_text("mine: {row: {order: 1}}\n")
-    config_files.add_folder(tmp_path)
+    config_files.use_folder(tmp_path)
     assert loading.load(["experiment=demo", "condition=mine"]).row.title == "mine"
     assert catalogue.conditions()["mine"].order == 1
 
@@ -221,6 +221,6 @@ def test_a_folder_of_any_name_has_configurations(name, tmp_path, monkeypatch):
     monkeypatch.setattr(config_files, "_user_folders", [])
     (tmp_path / name).mkdir()
     (tmp_path / name / "condition.yaml").write_text(textwrap.dedent(CONDITION))
-    config_files.add_folder(tmp_path / name)
+    config_files.use_folder(tmp_path / name)
     config = loading.load(["experiment=demo", "condition=eager"])
     assert config.agent.discount == 0.5

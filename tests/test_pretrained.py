@@ -13,7 +13,7 @@ from test_auxiliary import BYOL
 
 from zipf.agents.network import Torso
 from zipf.errors import UserError
-from zipf.experiments.building import loading
+from zipf.experiments.building import loading, run_folder
 from zipf.experiments.training import runner
 
 
@@ -125,6 +125,29 @@ def test_a_run_says_where_its_weights_are_from_and_resumes_without_it(first, cap
     assert following["pretrained"]["frames"] == 90 + 90
 
 
+def test_runs_that_began_with_another_go_on_in_another_folder(first, tmp_path):
+    _, folder = first
+    old, new = tmp_path / "old", tmp_path / "new"
+    shutil.copytree(folder, old / "demo" / "first" / "seed0")
+
+    def options(root, *more):
+        begins = f"pretrained.run={root}/demo/first/seed0"
+        return [*TINY, "updates=2", "name=moved", f"run_root={root}", begins, *more]
+
+    assert train(options(old)) == 0
+    saved = learned(old / "demo" / "moved" / "seed0")["options"]
+    assert saved["pretrained.run"] == "demo/first/seed0"
+    old.rename(new)
+    assert run_folder.is_finished(loading.load(options(new)))
+    assert train(options(new, "updates=3")) == 0
+    whole = {"options": {**saved, "pretrained.run": f"{old}/demo/first/seed0"}}  # as before
+    run_folder.check_options(new, whole, loading.load(options(new)))
+    with pytest.raises(UserError, match=r"pretrained\.run=demo/first/seed0 there"):
+        run_folder.check_options(
+            new, whole, loading.load(options(new, f"pretrained.run={new}/demo/moved/seed0"))
+        )
+
+
 def test_seeds_that_begin_with_seeds_of_a_condition_are_one_row(first, capsys):
     root, folder = first
     assert train([*TINY, "updates=3", "name=first", "seed=1", f"run_root={root}"]) == 0
@@ -145,8 +168,11 @@ def test_seeds_that_begin_with_seeds_of_a_condition_are_one_row(first, capsys):
     ("options", "message"),
     [
         (["pretrained.run=nowhere"], "pretrained.run=nowhere: nowhere: is no run's folder"),
-        (["pretrained.parts=[mind]"], "has no 'mind'; it has encoder, memory, "),
-        (["pretrained.parts=[encoder.words]"], "has no 'encoder.words'; it has encoder, memory, "),
+        (["pretrained.parts=[mind]"], "no part 'mind'; the network has encoder, memory, "),
+        (
+            ["pretrained.parts=[encoder.words]"],
+            "no part 'encoder.words'; the network has ",
+        ),
         (["pretrained.parts=[]"], "pretrained.parts=[]: "),
         (["network.size=24"], "is [24"),
         (

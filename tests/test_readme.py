@@ -97,7 +97,7 @@ def overrides_of(arguments: list[str]) -> list[str]:
         words = words[: words.index(flag)]
     if "--config-dir" in words:
         i = words.index("--config-dir")
-        config_files.add_folder(words[i + 1])
+        config_files.use_folder(words[i + 1])
         del words[i : i + 2]
     # Launchers are of the command, not of its jobs.
     return [word for word in words if not word.startswith("hydra")]

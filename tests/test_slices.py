@@ -121,6 +121,10 @@ def test_slices_tell_what_one_batch_tells() -> None:
     assert one.time_limit is not None
     for name in ("time_limit", "longest_episode", "situation", "reports_success"):
         assert getattr(several, name) == getattr(one, name)
+    for env in (one, several):
+        env.reset(seed=0)
+    for drawn, expected in zip(several.pictures(40, 30), one.pictures(40, 30), strict=True):
+        np.testing.assert_array_equal(drawn, expected)
 
 
 def test_rules_in_python_take_turns() -> None:

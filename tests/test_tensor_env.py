@@ -363,6 +363,9 @@ def test_damaged_states_are_refused(changed, message):
 )
 def test_states_of_another_kind_are_refused(changed, message):
     tensor = GridworldTensorEnv(3, device="cpu")
+    state = tensor.get_state()
+    with pytest.raises(ValueError, match="the state is damaged: "):
+        tensor.set_state({**state, "generator": torch.zeros_like(state["generator"])})
     with pytest.raises(ValueError, match=message):
         tensor.set_state({**tensor.get_state(), **changed})
 

@@ -362,6 +362,10 @@ def test_a_run_leaves_the_process_as_it_was(tmp_path):
     given = [*TINY, "updates=2", "collector.lag=1", f"run_root={tmp_path}"]
     assert runner.train(loading.load(given)) == 0
     assert sys.getswitchinterval() == before
+    (loading.load(given).folder / "evaluations.csv").write_text("nothing\n")
+    with pytest.raises(UserError, match=r"evaluations\.csv"):
+        runner.train(loading.load(given))
+    assert sys.getswitchinterval() == before
 
 
 def test_resume_modes(trained, tmp_path):

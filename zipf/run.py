@@ -44,13 +44,18 @@ class Run:
         return f"Run({self.folder.as_posix()!r}: {self._last_scores()}, {state})"
 
     def _last_scores(self) -> str:
-        rows = self.scores
-        if rows.empty:
+        from zipf.experiments.records.results import load_run
+
+        run = load_run(self.folder)
+        if run.evaluations.empty:
             return "not scored yet"
-        last = rows[rows["update"] == rows["update"].max()]
-        by_kind = last.groupby("level_kind", sort=False)["score"].mean()
-        shown = ", ".join(f"{kind} {score:.3f}" for kind, score in by_kind.items())
-        return f"{shown} at update {last['update'].iloc[0]}"
+        update = run.evaluations["update"].max()
+        means = {
+            kind: run.mean_scores(run.description.levels_of(kind)).set_index("update")["score"]
+            for kind in run.evaluations["level_kind"].unique()
+        }
+        shown = [f"{kind} {by[update]:.3f}" for kind, by in means.items() if update in by]
+        return f"{', '.join(shown)} at update {update}"
 
     @property
     def is_finished(self) -> bool:

@@ -104,8 +104,7 @@ def train(
         SystemExit: SIGTERM or a signal of a cluster has ended it, with a checkpoint.
     """
     words = [f"{name}={_text(value)}" for name, value in {**chosen, **(options or {})}.items()]
-    if config_dir is not None:
-        config_files.add_folder(str(config_dir))
+    config_files.use_folder(config_dir)
     config = loading.load(words)
     flags = [] if config_dir is None else ["--config-dir", str(config_dir)]
     with quietly(quiet):
@@ -168,7 +167,8 @@ def _run(_: DictConfig) -> None:
 
     try:
         config = loading.load(list(HydraConfig.get().overrides.task))
-        stopped = runner.train(config, cluster.runtime_of(config))
+        words = [word for word in sys.argv[1:] if word != composing.search_path()]
+        stopped = runner.train(config, cluster.runtime_of(config), words)
     except EXPECTED as error:
         _tell(error)
         sys.exit(2)
@@ -217,7 +217,7 @@ def _main() -> int:
     asks = ("hydra_help", "info", "shell_completion")
     _check_flags(arguments)
     if arguments.config_dir:
-        config_files.add_folder(arguments.config_dir)
+        config_files.use_folder(arguments.config_dir)
     composing.load_plugins(command_line.plugins_of(arguments.overrides))
     if arguments.help:
         command_line.check_names(arguments.overrides)

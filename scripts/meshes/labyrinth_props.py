@@ -13,7 +13,6 @@ from .shapes import (
     DARK,
     MAIN,
     Solid,
-    arc,
     block,
     box,
     circle,
@@ -149,30 +148,6 @@ def bush_1() -> list[Solid]:
         for count, tilt, phase, part in circles
         for i in range(count)
     ]
-
-
-def dead_tree() -> list[Solid]:
-    trunk = np.array([(0, 0, 0), (1, 1, 14), (3, -2, 60), (-2, 2, 110), (2, 0, 150), (8, 6, 198)])
-    branches = [
-        ((2, -1, 70), (6, -30, 100), (4, -38, 130)),
-        ((0, 1, 95), (-26, 12, 120), (-38, 10, 155)),
-        ((-2, 2, 112), (14, 30, 140), (10, 38, 168)),
-        ((1, 1, 135), (30, -8, 158), (40, -6, 182)),
-    ]
-    return [
-        tube(trunk.astype(float), [15, 9, 7.5, 6, 4.4, 1.6], MAIN, sides=6),
-        *(tube(np.array(path, dtype=float), [5.4, 4, 1.6], ACCENT, sides=5) for path in branches),
-        *(
-            rod((0, 0, 9), (22 * c, 22 * s, 0), 6, ACCENT, sides=4, end_radius=3)
-            for c, s in ((1, 0.2), (-0.6, 0.8), (-0.4, -0.9))
-        ),
-    ]
-
-
-def desert_arch() -> list[Solid]:
-    path = arc(1.0, -8, 188, 11, plane="yz") * (0, 78, 118)
-    radii = [30, 26, 24, 22, 20, 18, 19, 23, 26, 28, 34]
-    return [tube(path, radii, [MAIN, ACCENT] * 5, sides=7).stretch(x=1.2)]
 
 
 def platform() -> list[Solid]:
@@ -317,8 +292,6 @@ OBJECTS = {
     "rock_2": (rock_2, (100, 90, 70)),
     "bush_0": (bush_0, (100, 100, 60)),
     "bush_1": (bush_1, (100, 100, 60)),
-    "dead_tree": (dead_tree, (80, 80, 200)),
-    "desert_arch": (desert_arch, (60, 200, 150)),
     "platform": (platform, (128, 128, 94)),
     "robot": (robot, (30, 30, 40)),
     "robot_head": (robot_head, (26, 26, 23)),

@@ -42,8 +42,8 @@ def checked(options: type[AnyOptions], given: Mapping[str, Any]) -> AnyOptions:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return [_plain(one) for one in value]
     return value
@@ -57,7 +57,7 @@ _MUST_BE = {
     "literal_error": "{expected}",
     "greater_than_equal": "at least {ge}",
     "less_than_equal": "at most {le}",
-    **dict.fromkeys(("list_type", "too_short", "too_long"), "(rows, columns)"),
+    **dict.fromkeys(("list_type", "too_short", "too_long"), "two whole numbers"),
 }
 
 

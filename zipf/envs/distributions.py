@@ -30,10 +30,14 @@ def zipfian(n: int, exponent: float) -> NDArray[np.float64]:
     """
     _check_size(n)
     number = isinstance(exponent, Real) and not isinstance(exponent, bool)
-    if not number or not math.isfinite(exponent) or exponent < 0:
+    try:
+        skew = float(exponent) if number else math.nan
+    except OverflowError:
+        skew = math.inf
+    if not math.isfinite(skew) or skew < 0:
         raise ValueError(f"the exponent of Zipf's law must be finite and >= 0, got {exponent!r}")
     with np.errstate(over="ignore"):  # 1 / inf is the 0 that is meant
-        weights = 1.0 / np.arange(1, n + 1, dtype=np.float64) ** exponent
+        weights = 1.0 / np.arange(1, n + 1, dtype=np.float64) ** skew
     return weights / weights.sum()
 
 

@@ -307,7 +307,7 @@ def find_level(level: str) -> tuple[Family, str]:
     if not isinstance(level, str):
         raise ValueError(f"a level must be a name such as 'gridworld/zipf_2', got {level!r}")
     prefix, _, name = level.partition("/")
-    if prefix not in _FAMILIES or not name:
+    if prefix not in _FAMILIES or not name or name.startswith(f"{prefix}/"):
         known = [f"{one.name}/{name}" for one in _FAMILIES.values() for name in one.levels]
         raise unknown("level", level, known)
     found = _FAMILIES[prefix]
@@ -627,7 +627,8 @@ def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> BoundPolicy | No
     Args:
         name: which one, of `SCRIPTED`.
         level: the level's full name.
-        env: the envs.
+        env: the envs; of a mixture that has this level with options of its own, the policy plays
+            the envs that are of it.
 
     Raises:
         ValueError: for an unknown policy or level, or envs that the policy cannot play.
@@ -638,9 +639,12 @@ def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> BoundPolicy | No
     make = getattr(found, name)
     if make is None:
         return None
+    from zipf.envs.mixture import Mixture
     from zipf.envs.slices import SlicedPolicy, Slices
 
     policy = _loaded(make)
+    if isinstance(env, Mixture) and level in env.level_names:
+        env = env.batches[env.engines[env.level_names.index(level)]]
     return SlicedPolicy(env, policy) if isinstance(env, Slices) else policy(env)
 
 

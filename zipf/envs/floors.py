@@ -272,12 +272,18 @@ def _open_loop(texts: Sequence[str], count: int, seed: int) -> BoundPolicy:
     persistence, choices = np.zeros(n), np.zeros((n, count), np.int64)
     sizes = np.ones(n, np.int64)
     for i, text in enumerate(texts):
-        if found := re.fullmatch(r"walk ([0-9.]+) of ((?:\d+ ?)+)", text):
+        if found := re.fullmatch(r"walk (0(?:\.\d+)?|1) of ((?:\d+ ?)+)", text):
             among = [int(one) for one in found[2].split()]
+            if len(among) > count:
+                raise ValueError(f"{summary(text)!r} has {len(among)} actions: at most {count}")
             walks[i], persistence[i], sizes[i] = True, float(found[1]), len(among)
             choices[i, : len(among)] = among
         else:
             sequence = [action for action, steps in _runs(text) for _ in range(steps)]
+            if len(sequence) > LONGEST:
+                raise ValueError(
+                    f"{summary(text)!r} has {len(sequence)} actions: at most {LONGEST}"
+                )
             table[i, : len(sequence)], lengths[i] = sequence, len(sequence)
     if max(table.max(), choices.max()) >= count:
         raise ValueError(f"there are actions 0 to {count - 1}, got {', '.join(texts)}")

@@ -132,6 +132,11 @@ class Slices(ZipfVectorEnv):
             return None
         return tuple(frame for part in self.each("render") for frame in part)
 
+    def pictures(self, width: int, height: int) -> tuple[NDArray[np.uint8], ...]:
+        """The envs' pictures."""
+        drawn = self.each("pictures", lambda rows: (width, height))
+        return tuple(picture for part in drawn for picture in part)
+
     def report_achieved(self) -> None:
         super().report_achieved()
         self.each("report_achieved")

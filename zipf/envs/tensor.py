@@ -242,6 +242,9 @@ class TensorEnv(ABC):
                 )
         on_cpu = {name: tensor.cpu() for name, tensor in state.items()}
         self._check_state(on_cpu)
-        self.generator.set_state(on_cpu["generator"])
+        try:
+            self.generator.set_state(on_cpu["generator"])
+        except RuntimeError as error:
+            raise ValueError(f"the state is damaged: {error}") from None
         for name, tensor in self.tensors().items():
             tensor.copy_(on_cpu[name])

@@ -113,7 +113,7 @@ def build_maps(
         if len(places) <= num_objects:
             raise ValueError(
                 f"num_objects = {num_objects}, but map {first + i} has only {len(places)} places "
-                f"for the objects and the agent, so at most {len(places) - 1} objects fit: "
+                f"for the objects and the agent, so at most {max(len(places) - 1, 0)} objects fit: "
                 f"use fewer objects, or more or larger rooms than num_rooms = {num_rooms}, "
                 f"room_size = {room_size}"
             )

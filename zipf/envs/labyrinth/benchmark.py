@@ -62,11 +62,6 @@ def law(name: str) -> tuple[str, NDArray[np.float64]] | None:
         raise unknown("level", name, _KNOWN) from None
 
 
-def check(name: str) -> None:
-    """Raises ValueError if this is not a level, a task or one that draws them."""
-    law(name)
-
-
 def make_vec(
     num_envs: int, level: str = "explore_goal_locations_small", **options: Any
 ) -> ZipfVectorEnv:

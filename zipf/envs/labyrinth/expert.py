@@ -76,6 +76,8 @@ class Expert(Remembering):
 
 def batch_of(env: LabyrinthVectorEnv | Mixture, player: str) -> LabyrinthVectorEnv:
     """The envs that a scripted policy reads. Raises ValueError: it cannot play them."""
+    if isinstance(env, Mixture) and env.engines.any():
+        raise ValueError(f"the {player} plays levels with the same options, got several")
     batch = env.batches[0] if isinstance(env, Mixture) else env  # they share their envs
     if not isinstance(batch, LabyrinthVectorEnv):
         raise ValueError(

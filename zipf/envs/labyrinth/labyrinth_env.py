@@ -97,7 +97,8 @@ class LabyrinthEnv(SingleEnv):
 
     `zipf/Labyrinth-v1`, by `import zipf.envs`, or in one go
     `gymnasium.make("zipf.envs:zipf/Labyrinth-v1", level="rooms_watermaze")`. With
-    `gymnasium.make_vec` the same id gives `LabyrinthVectorEnv`, which steps many envs at once.
+    `gymnasium.make_vec` the same id gives `LabyrinthVectorEnv`, which steps many envs at once, or a
+    `Mixture` of them for a level that draws tasks.
     """
 
     metadata = LabyrinthVectorEnv.metadata

@@ -182,7 +182,7 @@ def index(name: str) -> int:
 
 @cache
 def stack() -> NDArray[np.uint8]:
-    """All textures, uint8 [K, 64, 64, 4]; alpha 0 marks holes."""
+    """All textures, uint8 [K, SIZE, SIZE, 4]; alpha 0 marks holes."""
     stacked = np.stack(list(_named().values()))
     stacked.flags.writeable = False
     return stacked

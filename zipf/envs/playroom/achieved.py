@@ -3,7 +3,7 @@
 from zipf.envs.playroom.constants import FURNITURE_SIZE, NEAR_DISTANCE
 from zipf.envs.playroom.falling import STILL_STEPS
 from zipf.envs.playroom.geometry import rectangle_gap
-from zipf.envs.playroom.judgement import APPROACH_DISTANCE, nearest_within
+from zipf.envs.playroom.judgement import approached
 from zipf.envs.playroom.levels import LIFT, NEAR, ON
 from zipf.envs.playroom.state import FLOOR, ON_BED, Envs, X, Y
 
@@ -25,7 +25,7 @@ def achieved(envs: Envs, i: int) -> Achievement | None:
 
 
 def _approached(envs: Envs, i: int) -> Achievement | None:
-    nearest = nearest_within(APPROACH_DISTANCE, envs.agents[i], envs.objects[i])
+    nearest = approached(envs.agents[i], envs.objects[i])
     return None if nearest < 0 else (int(nearest), int(envs.task[i]))
 
 

@@ -11,7 +11,7 @@ POLICY = "guessing expert"  # in `Family.blind_policies`
 
 def blind(level: str, **options: Any) -> BaselineScore | None:
     """The score of a policy that does what an instruction of the level says about a toy of the
-    room, but not the instruction that was given: exact.
+    room, but not the instruction that was given: exact, given time enough.
 
     All toys of a room are as likely to be the target, and so are the level's tasks. In
     `supervised/` levels both toys may be the same, and are then both right.

@@ -54,16 +54,16 @@ def _judge(envs, i):
 def _judge_approach(ranks, agent, objects):
     """1 if the agent has come near the target, 0 if near another object, -1 if near none.
     The nearest object counts: an agent that walks between two comes near both in one step."""
-    nearest = nearest_within(APPROACH_DISTANCE, agent, objects)
+    nearest = approached(agent, objects)
     if nearest < 0:
         return -1
     return 1 if ranks[nearest] == ranks[0] else 0
 
 
 @compiled(references=False)
-def nearest_within(distance, agent, objects):
-    """The object nearest to the agent of those nearer than `distance` metres; -1 if none is."""
-    nearest = -1
+def approached(agent, objects):
+    """The object nearest to the agent of those that it is near to; -1 if it is near none."""
+    nearest, distance = -1, APPROACH_DISTANCE
     for j in range(objects.shape[0]):
         gap = math.hypot(objects[j, X] - agent[AX], objects[j, Y] - agent[AY])
         if gap < distance:

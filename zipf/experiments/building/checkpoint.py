@@ -41,8 +41,10 @@ def save(path: Path, state: dict[str, Any]) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    except OSError as error:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
+        if not isinstance(error, OSError):
+            raise
         kept = "; the checkpoint before it is kept" if path.exists() else ""
         raise UserError(f"{path}: cannot be written: {error.strerror}{kept}") from None
 

@@ -191,14 +191,18 @@ def _not_so_many(config: Config, option: str) -> Iterator[str]:
 
 
 def _which_workers(config: Config) -> Iterator[str]:
-    """Both threads and processes, or processes where others step the envs."""
-    if config.processes is None:
-        return
-    option = f"processes={config.processes}"
-    if config.threads is not None:
-        yield f"{option}, threads={config.threads}: step the same envs; leave out one of them"
+    """Both threads and processes, or one of them where others step the envs."""
+    given = [
+        f"{name}={count}"
+        for name in ("processes", "threads")
+        if (count := getattr(config, name)) is not None
+    ]
+    if len(given) == 2:
+        yield f"{', '.join(given)}: step the same envs; leave out one of them"
     if isinstance(config.runtime, RayOptions):
-        yield f"{option}: with runtime=ray each actor steps its envs; leave it out"
+        yield from (
+            f"{one}: with runtime=ray each actor steps its envs; leave it out" for one in given
+        )
 
 
 def _no_parts(config: Config) -> Iterator[str]:
@@ -263,6 +267,8 @@ def _frame_bytes(config: Config) -> int:
 
 def _no_folder(config: Config) -> str | None:
     """Why a run's folder cannot be made, or None."""
+    if len(os.fsencode(config.condition)) > LONGEST_NAME:
+        return f"cannot have a folder for this name; give name=, of at most {LONGEST_NAME} bytes"
     try:
         paths = config.folder, *config.folder.parents
         if any(path.exists() and not path.is_dir() for path in paths):
@@ -274,6 +280,7 @@ def _no_folder(config: Config) -> str | None:
     return None
 
 
+LONGEST_NAME = 255  # bytes, of a folder on most systems
 BESIDE_A_FRAME = 64  # bytes: reward, action, flags and so on
 LARGEST_SIZE = 2**16  # ours: the weights between two such layers take 17 GB
 
@@ -325,10 +332,15 @@ def _no_agent(config: Config) -> Iterator[str]:
         )
     try:
         with torch.random.fork_rng(devices=[]):  # an agent may seed the global generator
-            agent = build_agent(config.model_copy(update={"device": "cpu", "run_root": "."}), env)
+            agent = build_agent(config.model_copy(update={"device": "cpu"}), env)
     except UserError as error:
         yield from str(error).splitlines()
         return
+    if config.pretrained.run is not None and isinstance(agent, Learner):
+        known = agent.network.parts()
+        for name in config.pretrained.parts:
+            if name not in known:
+                yield f"pretrained.parts: no part {name!r}; the network has {', '.join(known)}"
     yield from _left_random(config, agent)
     if agent.needs.teacher and getattr(family, agent.needs.teacher) is None:
         known = [name for name in envs.SCRIPTED if getattr(family, name) is not None]

@@ -23,7 +23,7 @@ from zipf.envs import EngineError
 from zipf.errors import UserError, reading, writing
 from zipf.experiments.building import checkpoint
 from zipf.experiments.options.runtime import TorchrunOptions
-from zipf.experiments.options.schema import Config, schema
+from zipf.experiments.options.schema import Config, name_of_run, schema
 from zipf.experiments.records import results
 from zipf.experiments.records.replacing import replace_text
 from zipf.experiments.records.result_table import TABLES, check_table, ends_at, last_update
@@ -94,7 +94,9 @@ def agent_file(folder: Path) -> Path:
 def check_options(path: Path, saved: dict[str, Any], config: Config) -> None:
     """Raises `UserError` where a checkpoint was made with other options than these."""
     with fits(path):
-        there, here = saved["options"], config.what_is_learned
+        there, here = {**saved["options"]}, config.what_is_learned
+        if "pretrained.run" in there:  # checkpoints of before have the whole path
+            there["pretrained.run"] = name_of_run(there["pretrained.run"])
     differing = [
         f"{name}={there.get(name)} there, {here.get(name)} here"
         for name in sorted(there.keys() | here.keys())

@@ -300,6 +300,8 @@ def _advice(parser: OverridesParser, text: str) -> str:
         found = [f"{group}={text}" for group in groups() if text in choices(group)]
         hint = f"; did you mean {' or '.join(found)}?" if found else ""
         return f"{shown}: not of the form option=value{hint}"
+    if value.endswith(","):
+        return f"{shown}: ends in a comma"
     quoted = f'{name}="{value}"'
     balanced = all(value.count(a) == value.count(b) for a, b in ("()", "[]", "{}"))
     try:
@@ -423,9 +425,11 @@ _IN_WORDS = {
 def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
     for problem in error.errors():
         node: Any = values
-        path = []
+        path: list[str] = []
         for part in problem["loc"]:  # without the tags that pydantic adds for alternatives
             if isinstance(node, dict) and part not in node and part != problem["loc"][-1]:
+                continue
+            if path and isinstance(part, str) and not isinstance(node, dict | list):
                 continue
             path.append(str(part))
             node = node.get(part) if isinstance(node, dict) else node

@@ -43,12 +43,16 @@ class Node:
     written: Written
 
 
-def add_folder(folder: str | Path) -> None:
-    """Adds a folder of the user's, laid out like `configs/` (`--config-dir`).
+def use_folder(folder: str | Path | None) -> None:
+    """Reads a folder of the user's, laid out like `configs/` (`--config-dir`), in the place of the
+    one before; None: no such folder.
 
     Raises:
         UserError: there is no such folder.
     """
+    _user_folders.clear()
+    if folder is None:
+        return
     try:
         path = Path(folder).expanduser().resolve()
         found = path.is_dir()
@@ -56,8 +60,12 @@ def add_folder(folder: str | Path) -> None:
         found = False
     if not found:
         raise UserError(f"--config-dir {folder!s:.200}: there is no such folder")
-    if path not in _user_folders:
-        _user_folders.append(path)
+    _user_folders.append(path)
+
+
+def has_folder() -> bool:
+    """Whether a folder of the user's is read."""
+    return bool(_user_folders)
 
 
 def folders() -> list[Path]:

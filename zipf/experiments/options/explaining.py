@@ -265,10 +265,15 @@ def _row(part: str, known: dict[str, Origin], composed: Composed) -> Origin:
 
 
 def _overrides(command: str) -> list[str]:
-    """The overrides in the command of a run."""
+    """The overrides in the command of a run, whose folder of configurations is read, too, if it is
+    there and no other one is."""
     words = shlex.split(command)
     words = words[words.index("zipf.train") + 1 :] if "zipf.train" in words else words
-    return list(command_line.split(words).overrides)
+    arguments = command_line.split(words)
+    own = arguments.config_dir
+    if own and Path(own).is_dir() and not config_files.has_folder():
+        config_files.use_folder(own)
+    return list(arguments.overrides)
 
 
 def _text(value: Any) -> str:

@@ -7,9 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from zipf.options import Options
-
-PositiveInt = Annotated[int, Field(ge=1)]
+from zipf.options import Options, Size
 
 
 class LocalOptions(Options):
@@ -29,9 +27,9 @@ class RayOptions(Options):
 
     name: Literal["ray"]
     address: Annotated[str, Field(min_length=1)] | None
-    actors: PositiveInt
+    actors: Size
     ahead: Annotated[int, Field(ge=1, le=2)]
-    largest_lag: PositiveInt | None
+    largest_lag: Size | None
 
     @property
     def lag_bound(self) -> int:
@@ -43,7 +41,7 @@ class TorchrunOptions(Options):
     """`learners` processes that torchrun starts train one run; each has its share of the envs."""
 
     name: Literal["torchrun"]
-    learners: PositiveInt
+    learners: Size
 
 
 RuntimeOptions = Annotated[LocalOptions | RayOptions | TorchrunOptions, Field(discriminator="name")]

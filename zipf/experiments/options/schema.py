@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from functools import reduce
 from operator import or_
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model
@@ -269,11 +269,18 @@ class Config(Options):
         options = flatten(self.model_dump()) | {"collector.lag": self.lag}
         if self.pretrained.run is None:
             del options["pretrained.run"], options["pretrained.parts"]
+        else:
+            options["pretrained.run"] = name_of_run(self.pretrained.run)
         return {
             name: value
             for name, value in options.items()
             if affects_learning(name) and not changes_nothing(name, value)
         }
+
+
+def name_of_run(folder: str) -> str:
+    """A run's folder by the names of its experiment, condition and seed, wherever it is."""
+    return "/".join(PurePath(folder).parts[-3:])
 
 
 def schema() -> type[Config]:

@@ -19,7 +19,6 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from time import perf_counter
 from typing import Any, Protocol, TypeVar
 
 import torch
@@ -176,7 +175,6 @@ class BackgroundRollouts(SynchronousRollouts):
         self.agent = agent
         agent.separate_acting()
         self._switched_before = sys.getswitchinterval()
-        sys.setswitchinterval(SWITCH_SECONDS)
         # Of the unrolls that were learned from; the collector's are of the pending one.
         self._visits = Visits(collector.visits.ranks)
         self._episodes: defaultdict[str, list[float]] = defaultdict(list)
@@ -186,6 +184,10 @@ class BackgroundRollouts(SynchronousRollouts):
         self._stream: torch.cuda.Stream | None = None
         if collector.device.startswith("cuda"):
             self._stream = torch.cuda.Stream(collector.device)
+
+    def open(self, tell: Callable[[str], None]) -> None:
+        """From now on threads take turns as often as `SWITCH_SECONDS` says."""
+        sys.setswitchinterval(SWITCH_SECONDS)
 
     @property
     def visits(self) -> Visits:
@@ -298,14 +300,16 @@ class TensorRollouts(SynchronousRollouts):
         """How often each situation was met in the unrolls that were learned from."""
         return self._tally.visits
 
+    @property
+    def seconds(self) -> dict[str, float]:
+        """The collector's, where no clock of the device counts them."""
+        return self.collector.seconds if self.clock is None else {}
+
     def _next(self) -> Unroll:
-        if self.clock is not None:
-            with self.clock.part("inference"):
-                return self._next_unroll()
-        start = perf_counter()
-        unroll = self._next_unroll()
-        self.collector.seconds["inference"] += perf_counter() - start
-        return unroll
+        if self.clock is None:
+            return self._next_unroll()
+        with self.clock.part("inference"):
+            return self._next_unroll()
 
     def _next_unroll(self) -> Unroll:
         if self.lag == 0:

@@ -385,7 +385,7 @@ class Run:
         except FloatingPointError as error:
             raise UserError(
                 f"{self.folder}: learning diverged {when} ({error}); the checkpoint before it is "
-                "kept; a smaller agent.learning_rate may help"
+                "kept; a smaller agent.learning_rate may help, in a run of another name"
             ) from None
         except ConnectionError as error:
             raise LearnerLost(str(error)) from None

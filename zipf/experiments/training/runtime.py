@@ -31,12 +31,10 @@ class OnlyLearner:
     """A run's only learner: what several would exchange stays as it is.
 
     Attributes:
-        rank: its number among the learners.
         is_first: whether it writes, shows and evaluates.
         stream: what tells the seeds of its envs from those of other learners.
     """
 
-    rank = 0
     is_first = True
     stream: tuple[int, ...] = ()
 

@@ -8,6 +8,7 @@ import select
 import signal
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from types import FrameType
 from typing import Any
 
@@ -61,15 +62,17 @@ class StopSignals:
         give_back(self._before)
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
+        is_first, self._received = not self._received, self._received or number
         if number in CLUSTER:
-            if not self._received:
-                self.say(f"stopping with a checkpoint: {signal.Signals(number).name}")
+            line = f"stopping with a checkpoint: {signal.Signals(number).name}" if is_first else ""
         elif self._asked:
             raise KeyboardInterrupt
         else:
             self._asked = True
-            self.say("stopping with a checkpoint; a second signal stops at once")
-        self._received = self._received or number
+            line = "stopping with a checkpoint; a second signal stops at once"
+        if line:
+            with suppress(RuntimeError):  # it came while another line was being written
+                self.say(line)
 
 
 def take(handler: Handler, say: Callable[[str], None]) -> dict[int, Any]:

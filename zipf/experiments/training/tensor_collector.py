@@ -36,8 +36,9 @@ class TensorCollector(Collector):
     than which cannot be cut in T steps.
 
     Attributes:
-        outcomes: of the episodes that ended in the unroll, float64 [4]: how many, and the sums of
-            what they came to.
+        reported: what episodes come to: `OUTCOMES`, without success where the envs report none.
+        outcomes: of the episodes that ended in the unroll, float64 [1 + len(reported)]: how many,
+            and the sums of what they came to.
         met: how often they were of each situation, int64, all ranks flat.
 
     Args:

@@ -50,7 +50,7 @@ holds the trigger; which fighter hurt it, and when."""
 
 SPAWNS, SUPPLIES, SHOTS, TRACES, FLASHES = 12, 24, 16, 12, 8  # capacities of each env
 SHOOTER, BORN = 6, 7  # columns of `shots` after place and direction: the shooter, and the frame
-TRACE_FRAME, TRACE_GADGET, TRACE_SHOOTER = 6, 7, 8  # columns of `traces` after start and end
+TRACE_FRAME, TRACE_GADGET = 6, 7  # columns of `traces` after start and end
 FLASH_FRAME, FLASH_KIND = 3, 4  # columns of `flashes` after the place
 SPARK, BLAST, PUFF = range(3)
 """Kinds of flashes: a hit, an orb that bursts, a fighter that vanishes."""
@@ -95,7 +95,7 @@ def make_combat(num_envs: int, grid: int) -> Combat:
         kinds=np.full((n, SUPPLIES), NOTHING, np.int64),
         until=np.full((n, SUPPLIES), -1, np.int64),
         shots=np.zeros((n, SHOTS, BORN + 1)),
-        traces=np.zeros((n, TRACES, TRACE_SHOOTER + 1)),
+        traces=np.zeros((n, TRACES, TRACE_GADGET + 1)),
         flashes=np.zeros((n, FLASHES, FLASH_KIND + 1)),
         written=np.zeros((n, 2), np.int64),
         points=np.zeros((n, 2), np.int64),

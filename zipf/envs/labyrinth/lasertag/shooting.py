@@ -40,7 +40,6 @@ from zipf.envs.labyrinth.lasertag.arena import (
     TAGS,
     TRACE_FRAME,
     TRACE_GADGET,
-    TRACE_SHOOTER,
     TRACES,
     WAIT,
 )
@@ -263,7 +262,7 @@ def _trace(combat, i, now, f, x, y, z):
     made[1] = body[Y] + ARM_X * sin - ARM_Y * cos
     made[2] = body[Z] + EYE + ARM_Z
     made[3], made[4], made[5] = x, y, z
-    made[TRACE_FRAME], made[TRACE_SHOOTER] = now, f
+    made[TRACE_FRAME] = now
     made[TRACE_GADGET] = combat.status[i, f, GADGET]
 
 
