@@ -121,8 +121,8 @@ TASKS = [
         {
             "impala,network=film": Agent("#997700"),
             "imitation": Agent("#0077bb"),
-            "told": Agent("#cc3311"),
-            "settled_slowly": Agent("#ee7733"),
+            "matched": Agent("#cc3311"),
+            "matched_settled": Agent("#ee7733"),
             "imitation_matching": Agent("#009988"),
         },
         "blind",
