@@ -269,7 +269,6 @@ MISTAKES = [
     (["experiment=demo", "name=''"], ["name=", "folder"]),
     (["experiment=demo", "name=1"], ["name=1", "quote"]),
     (["experiment=demo", f"name='{'é' * 200}'"], ["at most 255 bytes"]),
-    (["experiment=demo", "compile=maybe"], ["compile=maybe: should be a valid boolean"]),
     (["experiment=demo", "seed=1,"], ["seed=1,: ends in a comma"]),
     (
         ["experiment=playroom_lift_compact", "runtime=ray", "threads=2"],
@@ -411,6 +410,15 @@ def test_instructions_for_bfloat16_are_asked_for(capabilities, has, monkeypatch)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert schema.has_bfloat16("cpu") == schema.has_bfloat16("auto") == has
     assert not schema.has_bfloat16("cuda:0")
+
+
+def test_what_may_be_of_two_kinds_is_named_by_its_option():
+    with pytest.raises(UserError) as error:
+        loading.load(["experiment=demo", "compile=maybe"])
+    assert str(error.value).splitlines() == [
+        "compile=maybe: should be a valid boolean",
+        "compile=maybe: should be 'auto'",
+    ]
 
 
 @pytest.mark.parametrize(("overrides", "told"), MISTAKES, ids=[str(m[0]) for m in MISTAKES])

@@ -63,11 +63,17 @@ def blind(level: str, **options: Any) -> BaselineScore:
 
     name, chosen = level.removeprefix("gridworld/"), checked(GridworldOptions, options)
     in_time = reached(maps_of(name, chosen), chosen.max_steps)  # [maps, objects]
-    guessed = (of_level(name)(chosen.num_objects) * in_time).argmax(axis=1)
-    places = np.arange(len(in_time)), guessed
+    probabilities = of_level(name)(chosen.num_objects)
+    places = np.arange(len(in_time)), (probabilities * in_time).argmax(axis=1)
     success = np.zeros(in_time.shape)
     success[places] = in_time[places]
-    return replace(mean_success(level, success), policy="expert of the most frequent target")
+    found = mean_success(level, success)
+    if len(np.unique(places[1])) == 1 and success.any(axis=1).all():  # without rounding
+        guessed = success[0]
+        score = float(probabilities @ guessed)
+        by_rank = {"map": (score,) * chosen.num_maps, "target": tuple(guessed.tolist())}
+        found = BaselineScore(score, by_rank=by_rank)
+    return replace(found, policy="expert of the most frequent target")
 
 
 def random_policy(maps: Maps, max_steps: int = 100) -> RandomPolicy:
