@@ -200,9 +200,9 @@ def _which_workers(config: Config) -> Iterator[str]:
     if len(given) == 2:
         yield f"{', '.join(given)}: step the same envs; leave out one of them"
     if isinstance(config.runtime, RayOptions):
-        yield from (
-            f"{one}: with runtime=ray each actor steps its envs; leave it out" for one in given
-        )
+        for one in given:
+            if one != "threads=1":  # as it is anyway
+                yield f"{one}: with runtime=ray each actor steps its envs; leave it out"
 
 
 def _no_parts(config: Config) -> Iterator[str]:
