@@ -14,6 +14,7 @@ from zipf.envs.labyrinth import benchmark
 from zipf.envs.labyrinth.labyrinth_env import LabyrinthEnv
 from zipf.envs.labyrinth.levels import LEVELS
 from zipf.envs.mixture import Mixture
+from zipf.experiments.evaluation.scripted import ScriptedPolicy
 
 TASKS = [f"labyrinth/{name}" for name in LEVELS]
 SMALL = {"image_size": (3, 4)}
@@ -83,9 +84,9 @@ def test_scripted_players_play_levels_with_options_of_their_own() -> None:
     env = envs.make_scored(split, split.train[1], 2, image_size=(2, 2))
     with pytest.raises(ValueError, match="plays levels with the same options"):
         envs.scripted("expert", "labyrinth/uniform", env)
-    policy = envs.scripted("expert", rooms, env)
-    assert policy is not None
-    returns = play_episodes(env, lambda *_: policy(), 2, seed=0)["return"]
+    player = ScriptedPolicy("expert")
+    player.enter(rooms, env)
+    returns = play_episodes(env, lambda *_: player.policy(), 2, seed=0)["return"]
     assert min(returns) > 3
 
 

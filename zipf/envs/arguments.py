@@ -57,7 +57,7 @@ _MUST_BE = {
     "literal_error": "{expected}",
     "greater_than_equal": "at least {ge}",
     "less_than_equal": "at most {le}",
-    **dict.fromkeys(("list_type", "too_short", "too_long"), "two whole numbers"),
+    **dict.fromkeys(("list_type", "too_short", "too_long"), "(rows, columns)"),
 }
 
 

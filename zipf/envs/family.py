@@ -627,8 +627,7 @@ def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> BoundPolicy | No
     Args:
         name: which one, of `SCRIPTED`.
         level: the level's full name.
-        env: the envs; of a mixture that has this level with options of its own, the policy plays
-            the envs that are of it.
+        env: the envs.
 
     Raises:
         ValueError: for an unknown policy or level, or envs that the policy cannot play.
@@ -639,12 +638,9 @@ def scripted(name: Scripted, level: str, env: ZipfVectorEnv) -> BoundPolicy | No
     make = getattr(found, name)
     if make is None:
         return None
-    from zipf.envs.mixture import Mixture
     from zipf.envs.slices import SlicedPolicy, Slices
 
     policy = _loaded(make)
-    if isinstance(env, Mixture) and level in env.level_names:
-        env = env.batches[env.engines[env.level_names.index(level)]]
     return SlicedPolicy(env, policy) if isinstance(env, Slices) else policy(env)
 
 

@@ -49,7 +49,7 @@ FAMILY = Family(
     make_vec="zipf.envs.gridworld.vector:GridworldVectorEnv",
     baselines={
         "chance": "zipf.envs.gridworld.chance:chance",
-        "blind": "zipf.envs.gridworld.chance:blind",
+        "blind": "zipf.envs.gridworld.expert:blind",
         "generalist": measured("zipf.envs.gridworld", "generalist"),
         "expert": "zipf.envs.gridworld.expert:score",
     },

@@ -1,6 +1,6 @@
-"""How well uniformly random actions do, and a policy that cannot see the cue, exactly."""
+"""How well uniformly random actions do, exactly."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -52,28 +52,6 @@ def mean_success(level: str, success: NDArray) -> BaselineScore:
     by_map, by_target = success @ distribution(num_objects), distribution(num_maps) @ success
     by_rank = {"map": tuple(by_map.tolist()), "target": tuple(by_target.tolist())}
     return BaselineScore(float(distribution(num_maps) @ by_map), by_rank=by_rank)
-
-
-def blind(level: str, **options: Any) -> BaselineScore:
-    """The score of a policy that cannot see the cue, and goes by shortest ways to that object of
-    the map which is the target most often on this level, of those that it reaches in time: exact.
-    No policy without the cue has a higher one, since the first object that is reached ends the
-    episode."""
-    from zipf.envs.gridworld.expert import reached
-
-    name, chosen = level.removeprefix("gridworld/"), checked(GridworldOptions, options)
-    in_time = reached(maps_of(name, chosen), chosen.max_steps)  # [maps, objects]
-    probabilities = of_level(name)(chosen.num_objects)
-    places = np.arange(len(in_time)), (probabilities * in_time).argmax(axis=1)
-    success = np.zeros(in_time.shape)
-    success[places] = in_time[places]
-    found = mean_success(level, success)
-    if len(np.unique(places[1])) == 1 and success.any(axis=1).all():  # without rounding
-        guessed = success[0]
-        score = float(probabilities @ guessed)
-        by_rank = {"map": (score,) * chosen.num_maps, "target": tuple(guessed.tolist())}
-        found = BaselineScore(score, by_rank=by_rank)
-    return replace(found, policy="expert of the most frequent target")
 
 
 def random_policy(maps: Maps, max_steps: int = 100) -> RandomPolicy:

@@ -1,5 +1,7 @@
-"""A scripted expert: the shortest way to the target that touches no other object."""
+"""A scripted expert: the shortest way to the target that touches no other object; and without the
+cue."""
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -10,6 +12,7 @@ from zipf.envs.arguments import checked
 from zipf.envs.baselines import BaselineScore
 from zipf.envs.gridworld import GridworldOptions, kernels
 from zipf.envs.gridworld.chance import destinations, mean_success
+from zipf.envs.gridworld.level import distribution as of_level
 from zipf.envs.gridworld.level import maps_of
 from zipf.envs.gridworld.maps import Maps
 from zipf.envs.gridworld.vector import GridworldVectorEnv
@@ -47,6 +50,26 @@ def score(level: str, **options: Any) -> BaselineScore:
     chosen = checked(GridworldOptions, options)
     maps = maps_of(level.removeprefix("gridworld/"), chosen)
     return mean_success(level, reached(maps, chosen.max_steps).astype(np.float64))
+
+
+def blind(level: str, **options: Any) -> BaselineScore:
+    """The score of a policy that cannot see the cue, and goes by shortest ways to that object of
+    the map which is the target most often on this level, of those that it reaches in time: exact.
+    No policy without the cue has a higher one, since the first object that is reached ends the
+    episode."""
+    name, chosen = level.removeprefix("gridworld/"), checked(GridworldOptions, options)
+    in_time = reached(maps_of(name, chosen), chosen.max_steps)  # [maps, objects]
+    probabilities = of_level(name)(chosen.num_objects)
+    places = np.arange(len(in_time)), (probabilities * in_time).argmax(axis=1)
+    success = np.zeros(in_time.shape)
+    success[places] = in_time[places]
+    found = mean_success(level, success)
+    if len(np.unique(places[1])) == 1 and success.any(axis=1).all():  # without rounding
+        guessed = success[0]
+        score = float(probabilities @ guessed)
+        by_rank = {"map": (score,) * chosen.num_maps, "target": tuple(guessed.tolist())}
+        found = BaselineScore(score, by_rank=by_rank)
+    return replace(found, policy="expert of the most frequent target")
 
 
 def reached(maps: Maps, max_steps: int) -> NDArray[np.bool_]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from numpy.typing import NDArray
 
 from zipf import envs
+from zipf.envs.mixture import Mixture
 from zipf.envs.splits import Level
 from zipf.envs.vector import ZipfVectorEnv
 
@@ -25,6 +26,8 @@ class ScriptedPolicy:
         Raises:
             ValueError: the level has no such policy, or it cannot play these envs.
         """
+        if isinstance(env, Mixture) and level in env.level_names:  # the only one that is played
+            env = env.batches[env.engines[env.level_names.index(level)]]
         policy = envs.scripted(self.name, level, env) if isinstance(level, str) else None
         if policy is None:
             raise ValueError(f"policy={self.name}: {level} has none")
