@@ -238,7 +238,7 @@ def test_runs_are_trained_and_resumed(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.chdir(Path(__file__).parent)
 
     def load(name: str) -> Config:
-        config_files.add_folder("configs")
+        config_files.use_folder("configs")
         return loading.load(["experiment=dmlab_forward", *SHORT, f"run_root={tmp_path / name}"])
 
     whole, cut = load("whole"), load("cut")
