@@ -56,7 +56,7 @@ OWN_CHOICES = {
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A function that fills a folder of one's own."""
-    monkeypatch.setattr(config_files, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folder", None)
 
     def fill(files):
         for name, text in files.items():
@@ -70,7 +70,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_one_folder_takes_the_place_of_another(tmp_path, monkeypatch):
-    monkeypatch.setattr(config_files, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folder", None)
     usual = config_files.folders()
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
@@ -279,7 +279,7 @@ def test_a_file_of_another_encoding_is_named(encoding, folder):
 def test_a_file_of_blocks_may_begin_with_a_mark_and_have_line_ends_of_windows(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(config_files, "_user_folders", [tmp_path])
+    monkeypatch.setattr(config_files, "_user_folder", tmp_path)
     text = "# Mine.\r\nmine:\r\n  choose: {memory: mlp}\r\n  row: {title: Mine}\r\n"
     (tmp_path / "condition.yaml").write_bytes(text.encode("utf-8-sig"))
     config = loading.load(["experiment=demo", "condition=mine"])

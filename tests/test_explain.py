@@ -96,7 +96,7 @@ def test_the_choice_for_environments_without_an_instruction():
 
 
 def test_options_from_outside_the_package_have_a_line_too(tmp_path, monkeypatch):
-    monkeypatch.setattr(config_files, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folder", None)
     file = tmp_path / "condition.yaml"
     file.write_text(
         "mine:\n  choose:\n    memory: gtrxl  # why\n"
@@ -113,7 +113,7 @@ def test_options_from_outside_the_package_have_a_line_too(tmp_path, monkeypatch)
 def command(monkeypatch, capsys, *words):
     """What the command prints, to both streams."""
     monkeypatch.setattr(sys, "argv", ["zipf.train", *words])
-    monkeypatch.setattr(config_files, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folder", None)
     with pytest.raises(SystemExit) as ended:
         zipf.train.main()
     return ended.value.code, *capsys.readouterr()

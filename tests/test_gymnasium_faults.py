@@ -85,7 +85,7 @@ class Seedless(Faulty):
 def _registered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
     monkeypatch.setattr(family, "_FAMILIES", dict(family._FAMILIES))
     monkeypatch.setattr(feasibility, "_tried", {})
-    monkeypatch.setattr(config_files, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folder", None)
     gym.register("Faulty-v0", Faulty, max_episode_steps=20)
     gym.register("Endless-v0", Endless)
     gym.register("Seedless-v0", Seedless, max_episode_steps=20)

@@ -299,7 +299,7 @@ def configs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _own(monkeypatch: pytest.MonkeyPatch, configs: Path) -> Iterator[None]:
     monkeypatch.setattr(family, "_FAMILIES", dict(family._FAMILIES))
     monkeypatch.setattr(feasibility, "_tried", {})
-    monkeypatch.setattr(config_files, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folder", None)
     config_files.use_folder(configs)
     yield
     gym.registry.pop("Odd-v0", None)

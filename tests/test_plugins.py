@@ -116,7 +116,7 @@ def folder(tmp_path):
 def forgotten(monkeypatch):
     """The family that this process has imported is not there for other tests."""
     monkeypatch.setattr(family, "_FAMILIES", dict(family._FAMILIES))
-    monkeypatch.setattr(config_files, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folder", None)
     yield
     sys.modules.pop("my_worlds", None)
 
@@ -200,7 +200,7 @@ def test_worlds_that_no_plugin_has_registered_are_told_how_to(folder):
     ("row", "message"), [("Mine", "row=Mine: should be a m"), ("{line: dotted}", "row.line=dotted")]
 )
 def test_mistakes_in_a_users_row_are_one_clear_line(row, message, tmp_path, monkeypatch):
-    monkeypatch.setattr(config_files, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folder", None)
     (tmp_path / "condition.yaml").write_text(f"mine: {{row: {row}}}\n")
     config_files.use_folder(tmp_path)
     with pytest.raises(UserError, match=message) as error:
@@ -209,7 +209,7 @@ def test_mistakes_in_a_users_row_are_one_clear_line(row, message, tmp_path, monk
 
 
 def test_a_condition_needs_no_title(tmp_path, monkeypatch):
-    monkeypatch.setattr(config_files, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folder", None)
     (tmp_path / "condition.yaml").write_text("mine: {row: {order: 1}}\n")
     config_files.use_folder(tmp_path)
     assert loading.load(["experiment=demo", "condition=mine"]).row.title == "mine"
@@ -218,7 +218,7 @@ def test_a_condition_needs_no_title(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", ["it's conf", "a\\b, c]", "ends in \\", "both\\'"])
 def test_a_folder_of_any_name_has_configurations(name, tmp_path, monkeypatch):
-    monkeypatch.setattr(config_files, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folder", None)
     (tmp_path / name).mkdir()
     (tmp_path / name / "condition.yaml").write_text(textwrap.dedent(CONDITION))
     config_files.use_folder(tmp_path / name)

@@ -44,7 +44,7 @@ def section(page: str, heading: str) -> str:
 def forgotten(own_registries, monkeypatch):
     """What code registers is forgotten after the test."""
     monkeypatch.setattr(family, "_FAMILIES", dict(family._FAMILIES))
-    monkeypatch.setattr(config_files, "_user_folders", [])
+    monkeypatch.setattr(config_files, "_user_folder", None)
     monkeypatch.setattr(plugins, "_config_folders", [])
 
 

@@ -107,7 +107,7 @@ def test_overrides_apply_to_all_jobs_of_a_sweep():
 @pytest.fixture
 def own(tmp_path, monkeypatch):
     """A function that writes a sweep of one's own, `mine`."""
-    monkeypatch.setattr(config_files, "_user_folders", [tmp_path / "configs"])
+    monkeypatch.setattr(config_files, "_user_folder", tmp_path / "configs")
     path = tmp_path / "configs" / "sweep.yaml"
     path.parent.mkdir()
     return lambda text: path.write_text(f"# Mine.\nmine:\n{textwrap.indent(text, '  ')}")

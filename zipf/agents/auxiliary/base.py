@@ -86,19 +86,22 @@ class Auxiliary(nn.Module):
     def generator(self) -> torch.Generator:
         """Of this update's draws, on the device of the parameters, the CPU where there are none; to
         be called once an update."""
-        parameter = next(self.parameters(), None)
-        if parameter is None or parameter.device.type == "cpu":
+        device = self._device()
+        if device.type == "cpu":
             return torch.Generator().manual_seed(self.seed + self.updates)
         if self._generator is None:
-            self._generator = torch.Generator(parameter.device)
+            self._generator = torch.Generator(device)
             self._generator.manual_seed(self.seed + self.updates)
         return self._generator
 
     def generators(self) -> list[torch.Generator]:
         """Those that updates draw from on a device other than the CPU, always the same objects: a
         CUDA graph has to know them. `count` seeds them for the next update."""
+        return [] if self._device().type == "cpu" else [self.generator()]
+
+    def _device(self) -> torch.device:
         parameter = next(self.parameters(), None)
-        return [] if parameter is None or parameter.device.type == "cpu" else [self.generator()]
+        return torch.device("cpu") if parameter is None else parameter.device
 
     def get_extra_state(self) -> int:
         """The part of `state_dict()` that is no tensor."""

@@ -63,13 +63,13 @@ def blind(level: str, **options: Any) -> BaselineScore:
     places = np.arange(len(in_time)), (probabilities * in_time).argmax(axis=1)
     success = np.zeros(in_time.shape)
     success[places] = in_time[places]
-    found = mean_success(level, success)
-    if len(np.unique(places[1])) == 1 and success.any(axis=1).all():  # without rounding
-        guessed = success[0]
-        score = float(probabilities @ guessed)
-        by_rank = {"map": (score,) * chosen.num_maps, "target": tuple(guessed.tolist())}
-        found = BaselineScore(score, by_rank=by_rank)
-    return replace(found, policy="expert of the most frequent target")
+    policy = "expert of the most frequent target"
+    if not (success == success[0]).all():
+        return replace(mean_success(level, success), policy=policy)
+    # All maps alike, as those that are released: without the rounding of a mean over them.
+    score = float(probabilities @ success[0])
+    by_rank = {"map": (score,) * len(success), "target": tuple(success[0].tolist())}
+    return BaselineScore(score, by_rank=by_rank, policy=policy)
 
 
 def reached(maps: Maps, max_steps: int) -> NDArray[np.bool_]:

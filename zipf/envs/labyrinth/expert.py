@@ -12,6 +12,7 @@ from zipf.envs.labyrinth.steering import BACKWARD, WAIT
 from zipf.envs.labyrinth.vector import LabyrinthVectorEnv
 from zipf.envs.mixture import Mixture
 from zipf.envs.remembering import Remembering
+from zipf.envs.vector import ZipfVectorEnv
 
 _STUCK = 12  # steps without moving after which it leaves a place
 _BACK, _ASIDE = 6, 4  # steps back, then aside, with which it does
@@ -76,9 +77,11 @@ class Expert(Remembering):
 
 def batch_of(env: LabyrinthVectorEnv | Mixture, player: str) -> LabyrinthVectorEnv:
     """The envs that a scripted policy reads. Raises ValueError: it cannot play them."""
-    if isinstance(env, Mixture) and env.engines.any():
-        raise ValueError(f"the {player} plays levels with the same options, got several")
-    batch = env.batches[0] if isinstance(env, Mixture) else env  # they share their envs
+    batch: ZipfVectorEnv = env
+    if isinstance(env, Mixture):
+        if env.engines.any():
+            raise ValueError(f"the {player} plays levels with the same options, got several")
+        batch = env.batches[0]  # they share their envs
     if not isinstance(batch, LabyrinthVectorEnv):
         raise ValueError(
             f"the {player} reads the state of labyrinth envs, got {type(batch).__name__}"

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 
 from zipf.errors import UserError, reading
+from zipf.experiments.records.replacing import replacing
 
 _MAGIC = b"zipf checkpoint 1 "
 
@@ -28,9 +29,8 @@ def save(path: Path, state: dict[str, Any]) -> None:
     The file at `path` is the old one or the new one, never something between.
     Raises UserError: the disk is full or cannot be written; the old file is as it was.
     """
-    temporary = path.with_name(path.name + ".new")
     try:
-        with open(temporary, "wb") as file:
+        with replacing(path) as file:
             file.write(_header(hashlib.sha256()))
             payload = _Hashed(file)
             torch.save(_map(state, np.ndarray, torch.from_numpy), cast(BinaryIO, payload))
@@ -38,13 +38,7 @@ def save(path: Path, state: dict[str, Any]) -> None:
                 raise payload.error
             file.seek(0)
             file.write(_header(payload.hash))
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException as error:
-        temporary.unlink(missing_ok=True)
-        if not isinstance(error, OSError):
-            raise
+    except OSError as error:
         kept = "; the checkpoint before it is kept" if path.exists() else ""
         raise UserError(f"{path}: cannot be written: {error.strerror}{kept}") from None
 

@@ -267,8 +267,6 @@ def _frame_bytes(config: Config) -> int:
 
 def _no_folder(config: Config) -> str | None:
     """Why a run's folder cannot be made, or None."""
-    if len(os.fsencode(config.condition)) > LONGEST_NAME:
-        return f"cannot have a folder for this name; give name=, of at most {LONGEST_NAME} bytes"
     try:
         paths = config.folder, *config.folder.parents
         if any(path.exists() and not path.is_dir() for path in paths):
@@ -280,7 +278,6 @@ def _no_folder(config: Config) -> str | None:
     return None
 
 
-LONGEST_NAME = 255  # bytes, of a folder on most systems
 BESIDE_A_FRAME = 64  # bytes: reward, action, flags and so on
 LARGEST_SIZE = 2**16  # ours: the weights between two such layers take 17 GB
 
@@ -336,12 +333,7 @@ def _no_agent(config: Config) -> Iterator[str]:
     except UserError as error:
         yield from str(error).splitlines()
         return
-    if config.pretrained.run is not None and isinstance(agent, Learner):
-        known = agent.network.parts()
-        for name in config.pretrained.parts:
-            if name not in known:
-                yield f"pretrained.parts: no part {name!r}; the network has {', '.join(known)}"
-    yield from _left_random(config, agent)
+    yield from _wrong_parts(config, agent)
     if agent.needs.teacher and getattr(family, agent.needs.teacher) is None:
         known = [name for name in envs.SCRIPTED if getattr(family, name) is not None]
         yield (
@@ -350,11 +342,16 @@ def _no_agent(config: Config) -> Iterator[str]:
         )
 
 
-def _left_random(config: Config, agent: Agent) -> Iterator[str]:
-    """Parts of a network that learn nothing and are not taken from another run."""
+def _wrong_parts(config: Config, agent: Agent) -> Iterator[str]:
+    """Parts that are asked for and that a network has not; and those that learn nothing and are not
+    taken from another run."""
     chosen = config.pretrained.parts
     if config.pretrained.run is None or not isinstance(agent, Learner):
         return
+    known = agent.network.parts()
+    for name in chosen:
+        if name not in known:
+            yield f"pretrained.parts: no part {name!r}; the network has {', '.join(known)}"
     left = [
         name
         for name in agent.fixed_parts()

@@ -25,7 +25,7 @@ CONFIG_DIR = next(
 PRIMARY = "zipf"
 """The configuration that all others are composed into, made of `configs/train.yaml`."""
 
-_user_folders: list[Path] = []
+_user_folder: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,8 @@ def use_folder(folder: str | Path | None) -> None:
     Raises:
         UserError: there is no such folder.
     """
-    _user_folders.clear()
+    global _user_folder
+    _user_folder = None
     if folder is None:
         return
     try:
@@ -60,17 +61,18 @@ def use_folder(folder: str | Path | None) -> None:
         found = False
     if not found:
         raise UserError(f"--config-dir {folder!s:.200}: there is no such folder")
-    _user_folders.append(path)
+    _user_folder = path
 
 
-def has_folder() -> bool:
-    """Whether a folder of the user's is read."""
-    return bool(_user_folders)
+def user_folder() -> Path | None:
+    """The folder of the user's that is read; None for none."""
+    return _user_folder
 
 
 def folders() -> list[Path]:
     """All folders; of equal names the first one that has it counts, so ours are the last."""
-    return [*_user_folders, *plugins.config_folders(), CONFIG_DIR]
+    own = [] if _user_folder is None else [_user_folder]
+    return [*own, *plugins.config_folders(), CONFIG_DIR]
 
 
 def usual() -> Written:

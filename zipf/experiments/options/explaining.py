@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import inspect
 import json
 import re
@@ -74,14 +75,19 @@ def explain(overrides: list[str]) -> list[Origin]:
 
 def explain_run(config: Config, command: str, file: Path) -> list[Origin]:
     """Every option of a run that there is: as its command, given now, would have it or, where that
-    differs, as the run's own file says.
+    differs, as the run's own file says. The command's folder of configurations is read, if it is
+    there and no other one is.
 
     Args:
         file: the run's `config.yaml`.
     """
     lost = ""
     try:
-        now = {one.option: one for one in explain(_overrides(command))}
+        arguments = _arguments(command)
+        own = arguments.config_dir
+        if own and Path(own).is_dir() and config_files.user_folder() is None:
+            config_files.use_folder(own)
+        now = {one.option: one for one in explain(list(arguments.overrides))}
     except UserError as error:
         now, lost = {}, f"its command is none of this version: {str(error).splitlines()[0]}"
     written = read(file)
@@ -264,16 +270,11 @@ def _row(part: str, known: dict[str, Origin], composed: Composed) -> Origin:
     return Origin(option, None, rule="name") if part == "title" else _of_class(RowOptions, part)
 
 
-def _overrides(command: str) -> list[str]:
-    """The overrides in the command of a run, whose folder of configurations is read, too, if it is
-    there and no other one is."""
+def _arguments(command: str) -> argparse.Namespace:
+    """The flags and overrides in the command of a run."""
     words = shlex.split(command)
     words = words[words.index("zipf.train") + 1 :] if "zipf.train" in words else words
-    arguments = command_line.split(words)
-    own = arguments.config_dir
-    if own and Path(own).is_dir() and not config_files.has_folder():
-        config_files.use_folder(own)
-    return list(arguments.overrides)
+    return command_line.split(words)
 
 
 def _text(value: Any) -> str:

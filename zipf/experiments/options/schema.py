@@ -12,7 +12,7 @@ from operator import or_
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, create_model
+from pydantic import AfterValidator, Field, create_model
 
 from zipf import envs
 from zipf.errors import UserError
@@ -27,7 +27,15 @@ Interval = Annotated[list[Count], Field(min_length=2, max_length=2)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 NAME_PATTERN = r"^[^/.\r\n][^/\r\n]*$"
 DEVICE_PATTERN = r"^(auto|cpu|cuda(:\d+)?)$"
-Name = Annotated[str, Field(max_length=200, pattern=NAME_PATTERN)]
+
+
+def _in_bytes(name: str) -> str:
+    if len(os.fsencode(name)) > 255:  # as on most systems
+        raise ValueError("should take at most 255 bytes as a folder's name; use name=<name>")
+    return name
+
+
+Name = Annotated[str, Field(max_length=200, pattern=NAME_PATTERN), AfterValidator(_in_bytes)]
 Device = Annotated[str, Field(pattern=DEVICE_PATTERN)]
 
 

@@ -33,7 +33,7 @@ import pandas as pd
 
 from zipf.errors import UserError
 from zipf.experiments.records.csv_files import read_texts
-from zipf.experiments.records.replacing import replace_bytes
+from zipf.experiments.records.replacing import replacing
 from zipf.experiments.records.result_table import TABLES
 
 SUFFIX = ".gz"
@@ -234,9 +234,8 @@ def _texts(path: Path, columns: Sequence[str] = ("run",)) -> pd.DataFrame:
 
 
 def _write(path: Path, columns: Sequence[str], parts: Iterable[Sequence[Sequence[Any]]]) -> None:
-    compressed = []
-    for rows in ([columns], *parts):
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows(rows)
-        compressed.append(gzip.compress(text.getvalue().encode(), mtime=0))
-    replace_bytes(path, b"".join(compressed))
+    with replacing(path) as file:
+        for rows in ([columns], *parts):
+            text = io.StringIO()
+            csv.writer(text, lineterminator="\n").writerows(rows)
+            file.write(gzip.compress(text.getvalue().encode(), mtime=0))
