@@ -74,8 +74,21 @@ def of_map_and_target(situations: pd.DataFrame) -> NDArray[np.float64]:
 
 
 def of_target(situations: pd.DataFrame) -> NDArray[np.float64]:
-    """The shares of what is asked for in the playroom, whatever else is there."""
+    """The shares of what is asked for in finding, whatever else is there."""
     return distributions.zipfian(50, 3)[situations["target"]]
+
+
+def of_lifted(situations: pd.DataFrame) -> NDArray[np.float64]:
+    """The same in lifting: any of three toys, which are drawn without replacement."""
+    law = distributions.zipfian(50, 3)
+    each = np.eye(50, dtype=bool)
+    second = law[:, None] * law / (1 - law)[:, None]  # [first, second]
+    second[each] = 0.0
+    left = 1 - law[:, None] - law
+    left[each] = 1.0
+    pairs = second / left
+    third = law * (pairs.sum() - pairs.sum(0) - pairs.sum(1))
+    return ((law + second.sum(0) + third) / 3)[situations["target"]]
 
 
 TASKS = [
@@ -126,7 +139,7 @@ TASKS = [
             "imitation_matching": Agent("#009988"),
         },
         "blind",
-        of_target,
+        of_lifted,
     ),
 ]
 BINS = 8

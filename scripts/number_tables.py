@@ -89,11 +89,13 @@ def numbers(name: str) -> list[str]:
 
 
 def alone(experiment: str) -> list[str]:
-    """The lines of a table of an experiment whose runs have a level each: a row for each level and
+    """The lines of a table of an experiment's runs that have one level: a row for each level and
     condition, with baselines beside the score in the window."""
     rows = []
     for folder in {str(run.folder.parent.relative_to(RESULTS)) for run in _runs(experiment)}:
         levels = _levels(folder)
+        if len(levels) > 1:
+            continue
         table, row = _row(folder)
         (score,) = table.scores[table.scores["row"] == row.key].to_dict("records")
         spent = (

@@ -512,7 +512,7 @@ class Run:
             self.clock.load_state_dict(saved["clock"])
             was_on_device = "tensor_envs" in saved["source"]
             has_moved = was_on_device == isinstance(self.env, ZipfVectorEnv)
-            if has_moved and saved["agent"].get("replay"):  # codes there, images here
+            if has_moved and "replay" in saved["agent"]:  # codes there, images here
                 saved["agent"] |= {"replay": {}, "prefix": {}}
                 saved["without_replay"] = True
             try:
@@ -525,7 +525,7 @@ class Run:
                     "which is not bit for bit as it would have been"
                 )
             if has_moved and isinstance(self.rollouts, SynchronousRollouts):
-                seed = derive_seed(self.config.seed, "training", self.update)
+                seed = derive_seed(self.config.seed, "training", self.update, *self.learner.stream)
                 self.rollouts.collector.begin_episodes(seed)
             self.rollouts.load_state_dict(saved["source"])
             if has_moved:
