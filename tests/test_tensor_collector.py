@@ -426,14 +426,16 @@ def test_a_run_goes_on_on_the_host_and_back(tmp_path, capsys):
     assert [total for _, total in met] == [3 * ENVS * STEPS, 6 * ENVS * STEPS, 9 * ENVS * STEPS]
 
 
-def test_a_replay_is_left_behind_where_envs_move(tmp_path, capsys):
-    """It holds images on the host and codes on the device. New episodes are others."""
+@pytest.mark.parametrize("first", [1, 3])
+def test_a_replay_is_left_behind_where_envs_move(tmp_path, capsys, first):
+    """It holds images on the host and codes on the device, and so does the burn-in that waits for
+    the first sequences. New episodes are others."""
     chosen = [*TINY, *R2D2, "agent.storage=ram", "device=cpu", "evaluation.episodes=2",
               f"run_root={tmp_path}"]  # fmt: skip
     episodes = []
-    plan = (3, "host"), (6, "device"), (9, "host")
+    plan = (first, "host"), (6, "device"), (9, "host")
     for updates, where, said, source in moves(chosen, plan, capsys):
-        assert ("the replay was left behind" in said) == (updates > 3)
+        assert ("the replay was left behind" in said) == (updates > first)
         if where == "host":
             episodes.append(source["collector"]["environment"]["streams"])
     assert not np.array_equal(*episodes)
