@@ -27,7 +27,7 @@ from zipf.experiments.reporting.windows import Window, evaluations_inside
 from zipf.protocol import BASELINES, PAPER_KINDS
 
 RESULTS = Path(__file__).parent.parent / "results"
-UNTUNED = ("r2d2", "r2d2_uniform_replay", "vmpo")
+UNTUNED = ("ppo", "r2d2", "r2d2_uniform_replay", "vmpo")
 """Conditions whose values in `gridworld_compact` were not tuned; those of the others were."""
 COLUMNS = ("train", "validation", "uniform", "rare", "fresh")
 """Kinds of levels in the order of the columns: what is chosen by, then what is reported."""
