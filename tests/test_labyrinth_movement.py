@@ -189,6 +189,18 @@ def test_nobody_gets_through_walls() -> None:
     assert len(visited) >= 5
 
 
+def test_a_wall_also_stops_who_is_closer_than_bodies_are_kept() -> None:
+    """In the air a step can be shorter than the distance that is kept from walls."""
+    envs = grid(["####", "#  #", "#  #", "####"])
+    envs.box_count[0] = 1
+    envs.boxes[0, 0] = 100.0, 280.0, 0.0, 300.0, 300.0, 80.0
+    for yaw, axis, face in ((0.0, X, 300.0), (math.pi / 2, Y, 280.0)):
+        body = stand(envs, 200.0, 200.0, yaw)
+        body[axis] = face - WIDE - 5e-7
+        frames(envs, 30, forward=1.0)
+        assert face - WIDE - 1e-5 < body[axis] < face - WIDE
+
+
 def test_boxes_block_and_low_ones_do_not() -> None:
     envs = plain()
     envs.box_count[0] = 1

@@ -26,6 +26,7 @@ STEEPEST = math.sqrt(1.0 / 0.7**2 - 1.0)
 RISE = 12.0  # speed of a rising platform that holds the player, units per frame
 _MOST_PITCH = math.radians(89.0)
 _SKIN = 1e-6
+"""How far bodies stay from walls, units. A step that is shorter may end closer than that."""
 
 
 @compiled(error_model="numpy")
@@ -197,7 +198,7 @@ def _reach(envs, i, axis, wanted):
             if not free or envs.floor[i, row, column] > soles + STEP_UP:
                 face = CELL * line if ahead > 0 else CELL * (line + 1)
                 limit = face - ahead * (WIDE + _SKIN)
-                if (limit - now) * ahead >= 0.0:
+                if (limit - now) * ahead >= -2.0 * _SKIN:
                     reached = min(reached, limit) if ahead > 0 else max(reached, limit)
     for k in range(envs.box_count[i]):
         box = envs.boxes[i, k]
@@ -207,7 +208,7 @@ def _reach(envs, i, axis, wanted):
             continue
         face = box[axis] if ahead > 0 else box[3 + axis]
         limit = face - ahead * (WIDE + _SKIN)
-        if (limit - now) * ahead >= 0.0 and (edge - face) * ahead > 0.0:
+        if (limit - now) * ahead >= -2.0 * _SKIN and (edge - face) * ahead > 0.0:
             reached = min(reached, limit) if ahead > 0 else max(reached, limit)
     return reached
 

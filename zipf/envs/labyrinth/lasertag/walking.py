@@ -19,7 +19,7 @@ from zipf.envs.labyrinth.mover import (
 )
 from zipf.envs.labyrinth.state import CELL, VX, VY, VZ, X, Y, Z
 
-_SKIN = 1e-6
+_SKIN = 1e-6  # as of `mover`
 
 
 @compiled(error_model="numpy")
@@ -72,6 +72,6 @@ def _reach(solid, now, across, wanted, axis):
         row, column = (other, line) if axis == 0 else (line, other)
         if solid[row, column]:
             limit = (line if ahead > 0 else line + 1) * CELL - ahead * (WIDE + _SKIN)
-            if (limit - now) * ahead >= 0.0:
+            if (limit - now) * ahead >= -2.0 * _SKIN:
                 wanted = min(wanted, limit) if ahead > 0 else max(wanted, limit)
     return wanted
