@@ -81,12 +81,9 @@ def of_target(situations: pd.DataFrame) -> NDArray[np.float64]:
 def of_lifted(situations: pd.DataFrame) -> NDArray[np.float64]:
     """The same in lifting: any of three toys, which are drawn without replacement."""
     law = distributions.zipfian(50, 3)
-    each = np.eye(50, dtype=bool)
     second = law[:, None] * law / (1 - law)[:, None]  # [first, second]
-    second[each] = 0.0
-    left = 1 - law[:, None] - law
-    left[each] = 1.0
-    pairs = second / left
+    np.fill_diagonal(second, 0.0)
+    pairs = second / (1 - law[:, None] - law)  # the chance of a third is this times the law
     third = law * (pairs.sum() - pairs.sum(0) - pairs.sum(1))
     return ((law + second.sum(0) + third) / 3)[situations["target"]]
 

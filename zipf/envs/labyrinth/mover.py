@@ -25,7 +25,7 @@ STEEPEST = math.sqrt(1.0 / 0.7**2 - 1.0)
 """Slope that can be climbed: where the unit normal is 0.7 high."""
 RISE = 12.0  # speed of a rising platform that holds the player, units per frame
 _MOST_PITCH = math.radians(89.0)
-_SKIN = 1e-6
+SKIN = 1e-6
 """How far bodies stay from walls, units. A step that is shorter may end closer than that."""
 
 
@@ -40,7 +40,7 @@ def move(envs, i, turn, rise, strafe, forward):
     body = envs.bodies[i]
     soles = body[Z] - BELOW
     ground = _ground(envs, i, body[X], body[Y], soles)
-    standing = soles <= ground + _SKIN
+    standing = soles <= ground + SKIN
     acceleration = ACCELERATION if standing else IN_AIR
     friction = standing and envs.pushed[i] == 0
     turn_and_run(body, turn, rise, strafe, forward, acceleration, friction)
@@ -192,13 +192,13 @@ def _reach(envs, i, axis, wanted):
     rows, columns = envs.cells[i]
     if rows > 0:
         line = _cell(edge)
-        for other in range(_cell(across - WIDE + _SKIN), _cell(across + WIDE - _SKIN) + 1):
+        for other in range(_cell(across - WIDE + SKIN), _cell(across + WIDE - SKIN) + 1):
             row, column = (other, line) if axis == 0 else (line, other)
             free = 0 <= row < rows and 0 <= column < columns and not envs.solid[i, row, column]
             if not free or envs.floor[i, row, column] > soles + STEP_UP:
                 face = CELL * line if ahead > 0 else CELL * (line + 1)
-                limit = face - ahead * (WIDE + _SKIN)
-                if (limit - now) * ahead >= -2.0 * _SKIN:
+                limit = face - ahead * (WIDE + SKIN)
+                if (limit - now) * ahead >= -2.0 * SKIN:
                     reached = min(reached, limit) if ahead > 0 else max(reached, limit)
     for k in range(envs.box_count[i]):
         box = envs.boxes[i, k]
@@ -207,8 +207,8 @@ def _reach(envs, i, axis, wanted):
         if box[1 - axis] >= across + WIDE or box[4 - axis] <= across - WIDE:
             continue
         face = box[axis] if ahead > 0 else box[3 + axis]
-        limit = face - ahead * (WIDE + _SKIN)
-        if (limit - now) * ahead >= -2.0 * _SKIN and (edge - face) * ahead > 0.0:
+        limit = face - ahead * (WIDE + SKIN)
+        if (limit - now) * ahead >= -2.0 * SKIN and (edge - face) * ahead > 0.0:
             reached = min(reached, limit) if ahead > 0 else max(reached, limit)
     return reached
 

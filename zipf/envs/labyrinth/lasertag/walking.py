@@ -14,12 +14,11 @@ from zipf.envs.labyrinth.mover import (
     FRAME,
     GRAVITY,
     IN_AIR,
+    SKIN,
     WIDE,
     turn_and_run,
 )
 from zipf.envs.labyrinth.state import CELL, VX, VY, VZ, X, Y, Z
-
-_SKIN = 1e-6  # as of `mover`
 
 
 @compiled(error_model="numpy")
@@ -27,7 +26,7 @@ def walk(solid, bodies, status, count, f, turn, rise, strafe, forward):
     """Moves fighter `f` of `count` by a frame, see `mover.move`; bodies are written.
     It does not walk through walls, solid cells [rows, columns], nor through others."""
     body = bodies[f]
-    standing = body[Z] - BELOW <= _SKIN
+    standing = body[Z] - BELOW <= SKIN
     grips = standing and status[f, SLIDE] <= 0
     turn_and_run(body, turn, rise, strafe, forward, ACCELERATION if grips else IN_AIR, grips)
     if not standing:
@@ -65,13 +64,13 @@ def _reach(solid, now, across, wanted, axis):
     ahead = 1.0 if wanted > now else -1.0
     line = math.floor((wanted + ahead * WIDE) / CELL)
     first, last = (
-        math.floor((across - WIDE + _SKIN) / CELL),
-        math.floor((across + WIDE - _SKIN) / CELL),
+        math.floor((across - WIDE + SKIN) / CELL),
+        math.floor((across + WIDE - SKIN) / CELL),
     )
     for other in range(first, last + 1):
         row, column = (other, line) if axis == 0 else (line, other)
         if solid[row, column]:
-            limit = (line if ahead > 0 else line + 1) * CELL - ahead * (WIDE + _SKIN)
-            if (limit - now) * ahead >= -2.0 * _SKIN:
+            limit = (line if ahead > 0 else line + 1) * CELL - ahead * (WIDE + SKIN)
+            if (limit - now) * ahead >= -2.0 * SKIN:
                 wanted = min(wanted, limit) if ahead > 0 else max(wanted, limit)
     return wanted
