@@ -120,6 +120,7 @@ def repeated_actions(rng: np.random.Generator, steps: int) -> NDArray[np.int64]:
 @example(seed=9638, repeated=True)  # walks with a held object between the bed and a wall
 @example(seed=2145, repeated=True)  # walks onto the tray with a held object
 @example(seed=2509, repeated=True)  # pushes an object between the bed and a wall
+@example(seed=17848, repeated=False)  # throws an object along the floor at the tray
 @settings(max_examples=12, deadline=None)
 def test_the_state_stays_consistent_under_any_actions(
     level: str, seed: int, repeated: bool

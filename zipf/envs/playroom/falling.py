@@ -36,7 +36,7 @@ def fall(envs, i, before):
 @compiled(references=False)
 def _fall(item, before, furnished, furniture):
     """Lets an object that is not held fall for one step; returns its status."""
-    where = FLOOR
+    where, began = FLOOR, item[Z]
     for k in range(1, FRAMES + 1):
         share = k / FRAMES
         x = before[0] + (item[X] - before[0]) * share
@@ -45,9 +45,10 @@ def _fall(item, before, furnished, furniture):
         if furnished:
             for f in range(2):
                 height = FURNITURE_SIZE[f, 2]
-                # An object on the floor beside a support does not jump onto it.
+                # By the height at which the step began, as in `hand._layer`: the physics lets an
+                # object through the sides of the supports that were below it, and of no others.
                 if (
-                    item[Z] >= height - LANDING
+                    began >= height - LANDING
                     and rectangle_gap(furniture[f], FURNITURE_SIZE[f], x, y) == 0.0
                 ):
                     top, where = height, ON_BED + f

@@ -123,8 +123,8 @@ def control(mask, actions, envs, commands):
 @compiled()
 def _layer(status, height):
     """What an object collides with, by where it is and its height."""
-    if status == FLOOR:
-        return GROUND_LAYER
+    if status == FLOOR or (status == AIR and height < FURNITURE_SIZE[1, 2] - LANDING):
+        return GROUND_LAYER  # in the air, too low to pass over the tray, it lands within this step
     if status == ON_BED:
         return BED_LAYER
     if status == ON_TRAY:
