@@ -32,7 +32,7 @@ from zipf.envs.vector import ZipfVectorEnv
 
 # Ours: how the search goes.
 EPISODES = 32  # of a policy, at first
-REPEATS = (1, 2, 3, 4, 6, 8, 12, 16)  # steps for which an action of a cycle is held
+REPEATS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)  # steps for which an action of a cycle is held
 PERSISTENCE = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98)  # of walks
 LONGEST = 200  # actions of an evolved sequence
 KEPT = 5  # policies whose score is measured again

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zipf.envs.labyrinth.episode import Episode
 from zipf.envs.labyrinth.grids import Cell
@@ -86,24 +87,55 @@ class LanguageEpisode(Episode):
     def act(self, known: Knowledge) -> int:
         """Walks to the nearest goal around the cells of other objects."""
         task = self.task
-        solid = task.layout.solid
-        blocked = solid & known.seen(*solid.shape)
-        goals = []
+        blocked = task.layout.solid & known.seen(*task.layout.solid.shape)
+        there = [number for item, number in self._there() if known.knows(item)]
+        others = [number for number in there if number not in task.judge.goals]
+        goals = [one for one in there if one not in others and self._is_told(one, known)]
+        if goals:
+            return self._fetch(goals, others, blocked)
+        self._block(blocked, others)
+        return known.explore(blocked, size=CELL)
+
+    def guess(self, number: int) -> int | None:
+        """Fetches the likeliest object by what there is to see; there is no second answer."""
+        if number:
+            return None
+        # In the order of their slots: that of their numbers would tell the goals, which are first.
+        there = sorted((number for _, number in self._there()), key=self._slot)
+        wanted = self.likeliest(there)
+        there.remove(wanted)
+        return self._fetch([wanted], there, self.task.layout.solid.copy())
+
+    def likeliest(self, there: Sequence[int]) -> int:
+        """What one takes who sees the objects, of which these are there, and cannot read."""
+        return there[0]
+
+    def _there(self) -> Iterator[tuple[int, int]]:
+        """Items that can be taken, and the numbers of their objects."""
         for item, number in self.items.items():
-            if not self.world.is_there(item) or number in task.seen_only or not known.knows(item):
-                continue
-            slot = task.places[number]
-            assert slot is not None
-            cell = task.layout.slots[slot]
-            if number in task.judge.goals:
-                if self._is_told(number, known):
-                    goals.append(cell)
-            else:
-                blocked[cell] = True
-        if not goals:
-            return known.explore(blocked, size=CELL)
-        ways = Ways(blocked, goals)
-        return ways.walk_to(self.world, ways.nearest(self.world, goals))
+            if self.world.is_there(item) and number not in self.task.seen_only:
+                yield item, number
+
+    def _fetch(
+        self, wanted: Iterable[int], others: Iterable[int], blocked: NDArray[np.bool_]
+    ) -> int:
+        """Walks to the nearest of the wanted objects, of several the first, around the others."""
+        self._block(blocked, others)
+        cells = [self._cell(number) for number in wanted]
+        ways = Ways(blocked, cells)
+        return ways.walk_to(self.world, ways.nearest(self.world, cells))
+
+    def _block(self, blocked: NDArray[np.bool_], objects: Iterable[int]) -> None:
+        for number in objects:
+            blocked[self._cell(number)] = True
+
+    def _cell(self, number: int) -> Cell:
+        return self.task.layout.slots[self._slot(number)]
+
+    def _slot(self, number: int) -> int:
+        slot = self.task.places[number]
+        assert slot is not None
+        return slot
 
     def renewed(self) -> Iterable[Cell]:
         return ((int(row), int(column)) for row, column in np.ndindex(GRID, GRID))

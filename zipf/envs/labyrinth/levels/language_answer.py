@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -136,3 +137,11 @@ class AnswerQuantitativeQuestion(LanguageEpisode):
             _LAYOUT, self.theme, objects, places, words.format(goal=groups[0][0]), judge,
             seen_only=frozenset(range(2, len(objects))), still=frozenset((0, 1)),
         )  # fmt: skip
+
+    def likeliest(self, there: Sequence[int]) -> int:
+        """Yes where they all, or three of several shapes, have one colour: right in three questions
+        of four."""
+        shown = [one for one in self.task.objects[2:] if one.region != NOWHERE]
+        same_colour = max(Counter(one.colour for one in shown).values())
+        shapes = len({one.shape for one in shown})
+        return 0 if same_colour == SHOWN or (same_colour == SHOWN - 1 and shapes > 1) else 1

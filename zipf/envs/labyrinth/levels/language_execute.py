@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -169,3 +169,24 @@ class ExecuteRandomTask(LanguageEpisode):
         judge = CountingJudge(goals, others) if kind.every else balanced(others)
         text = kind.words(groups[0][0], groups[1][0], rng)
         return Task(layout, self.theme, objects, places, text, judge)
+
+    def likeliest(self, there: Sequence[int]) -> int:
+        """An object that shares its colour with some and its shape with others; of an odd number,
+        else one that shares neither; else of a shape that there are more of. And then those like
+        it. Worth eight tenths of what reading is."""
+        objects = self.task.objects
+        taken = [one for number, one in enumerate(objects) if number not in there]
+        for attribute in ("shape", "colour") if taken else ():
+            value = getattr(taken[0], attribute)
+            alike = [one for one in there if getattr(objects[one], attribute) == value]
+            if alike:
+                return alike[0]
+
+        def evidence(number: int) -> tuple[int, bool, int]:
+            one = objects[number]
+            colour = sum(other.colour == one.colour for other in objects) - 1
+            shape = sum(other.shape == one.shape for other in objects) - 1
+            alone = len(objects) % 2 == 1 and colour == shape == 0
+            return 2 * (colour > 0 and shape > 0) + alone, shape > 0, colour
+
+        return max(there, key=evidence)
