@@ -292,6 +292,9 @@ def test_what_cannot_be_augmented_is_refused():
     codes = gym.spaces.Dict(codes=gym.spaces.MultiDiscrete([3, 3]))
     with pytest.raises(ValueError, match=r"shift: the observations have no image; choose 0"):
         RandomAugmentation(options(shift=1), codes)
+    grey = gym.spaces.Dict(image=gym.spaces.Box(0, 255, (8, 8, 1), np.uint8))
+    with pytest.raises(ValueError, match=r"channels=true: the images have no colours"):
+        RandomAugmentation(options(channels=True), grey)
     with pytest.raises(ValueError, match="changes nothing"):
         RandomAugmentation(options(), IMAGE)
     with pytest.raises(ValueError, match="should not be larger"):

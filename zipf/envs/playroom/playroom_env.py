@@ -27,7 +27,7 @@ class PlayroomEnv(SingleEnv):
 
     - `image`: uint8 [72, 96, 3], 75 degrees wide, from 1.0 m above the floor.
     - `instruction`: int64 [6], the words' codes in `zipf.envs.playroom.levels.VOCABULARY`, 0 behind
-      the last one; `info["instruction"]` is the text.
+      the last one; `info["instruction"]` is the text, whose article is always "a".
 
     ## Action space
 

@@ -91,6 +91,12 @@ UNCHANGED = np.array([[0, 0, 1, 2, 0, 0, 1.0, 0, 0]])
 _OF_IMAGES = {"channels": False, "shift": 0, "scale": [1, 1], "cutout": 0}
 
 
+def has_colours(image: gym.Space) -> bool:
+    """Whether an image has colours: three channels, or four of which the last is none."""
+    assert image.shape is not None
+    return image.shape[-1] in (3, 4)
+
+
 class RandomAugmentation:
     """Draws changes of episodes, and makes them; symmetries are those of these envs, where
     `options.symmetries`. Raises ValueError: there is nothing to change, or no symmetries.
@@ -122,6 +128,11 @@ class RandomAugmentation:
             raise ValueError(
                 f"augmentation.{chosen[0]}: the observations have no image; choose "
                 f"{_OF_IMAGES[chosen[0]]}"
+            )
+        if options.channels and not any(has_colours(space[name]) for name in self.images):
+            raise ValueError(
+                "augmentation.channels=true: the images have no colours, which are the first three "
+                "of three or four channels; choose false"
             )
         if not chosen and not options.symmetries:
             raise ValueError(

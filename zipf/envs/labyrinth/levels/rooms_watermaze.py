@@ -37,7 +37,7 @@ class Watermaze(Episode):
     ends the episode.
     Rewards: +1, five times for each visit of the platform.
     Approximated: points come every 0.4 s (the original's timer is irregular), and the player is
-    held at once.
+    held at once. The floor has the water's colour: there is no sheet of it above, and no ceiling.
     """
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
