@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from zipf.envs.playroom import chipmunk
-from zipf.envs.playroom.constants import FRAME, FRAMES
+from zipf.envs.playroom.constants import FRAME, FRAMES, FURNITURE_SIZE
+from zipf.envs.playroom.falling import _fall
 from zipf.envs.playroom.room import Room
-from zipf.envs.playroom.state import ANGLE, AX, AY, YAW, X, Y
+from zipf.envs.playroom.state import ANGLE, AX, AY, ON_BED, YAW, X, Y, Z
 from zipf.envs.playroom.vector import PlayroomVectorEnv
 
 ENVS, OBJECTS = 3, 4
@@ -127,3 +128,14 @@ def test_addresses_are_of_the_episode() -> None:
     assert room.space is not kept
     assert room.addresses()[0] != space
     assert room.addresses()[1] == bodies
+
+
+@pytest.mark.parametrize(("height", "lands"), [(0.36, True), (0.34, False)])
+def test_what_flies_in_above_the_edge_of_the_bed_lands_on_it(height: float, lands: bool) -> None:
+    """Also where it has fallen below the edge within the step: the physics lets it through the
+    sides that were below it when the step began."""
+    furniture = np.array([[0.0, 0.0, 0.0], [1.5, 1.5, 0.0]])
+    item = np.array([-0.6, 0.0, 0.0, height, 0.0])  # 0.1 m inside in the last of four frames
+    status = _fall(item, np.array([-1.3, 0.0]), True, furniture)
+    assert (status == ON_BED) == lands
+    assert (item[Z] == FURNITURE_SIZE[0, 2]) == lands
