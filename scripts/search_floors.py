@@ -12,8 +12,8 @@ level's "blind" in `baselines.json` of the family's package, which evaluations, 
 documentation read. `results/floors.md` has it beside chance and expert, for the record.
 
 Levels that stand in the table are passed over, so that the command may be stopped and given again;
-`--again` searches them anew, beginning with the policies that are there, and keeps the better. With
-`--seconds 0` it only measures those policies again.
+`--again` searches them anew, beginning with the policies that are there and with the best of the
+family's other levels, and keeps the better. With `--seconds 0` it only measures those policies.
 """
 
 import argparse
@@ -125,9 +125,12 @@ def _here(table: pd.DataFrame, task: Task) -> pd.Series:
 
 
 def known(table: pd.DataFrame, task: Task) -> list[str]:
-    """The policies that the table has of a level with any options."""
+    """The policies that the table has of a level with any options, and the best of each other level
+    of the family with these: how to move about is no matter of the level."""
     here = (table[PLACE[:2]] == pd.Series(_key(task)[:2], PLACE[:2])).all(axis=1)
-    return list(dict.fromkeys(table["policy"][here])) if len(table) else []
+    alike = table[(table["family"] == task[0]) & (table["options"] == _key(task)[2])]
+    best = alike.drop_duplicates("level")["policy"]
+    return list(dict.fromkeys([*table["policy"][here], *best])) if len(table) else []
 
 
 def best_known(table: pd.DataFrame, task: Task) -> dict[str, Any]:
