@@ -9,7 +9,8 @@ run on every kind of level, the median of the evaluations in its window. Checkpo
 files and situations outside the window are not taken. With `--weights` the run's folder in
 `results/` has its weights, in bfloat16, options and description as well: some megabytes, which let
 others play the agent and begin with it. `run_root` is left out of the options: it changes nothing
-and tells where somebody keeps their runs. A run whose files are damaged is refused.
+and tells where somebody keeps their runs. A run is refused whose files are damaged, or that has not
+reached its window.
 """
 
 from __future__ import annotations
@@ -41,12 +42,15 @@ def keep(kept: Record, folder: Path, *, weights: bool = False) -> str:
     """Adds one run to a record, and its weights to `results/` if asked to; returns its name there.
 
     Raises:
-        UserError: it is no run, is damaged, or has no weights; or those of an earlier training
-            would stay beside it.
+        UserError: it is no run, is damaged, has not reached its window, or has no weights; or those
+            of an earlier training would stay beside it.
     """
     run = load_run(folder)
     if run.notes:
         raise UserError(f"{folder}: {run.notes[0]}")
+    inside = evaluations_inside(run, OwnWindows())["update"]
+    if not len(inside):
+        raise UserError(f"{folder}: has no evaluation in its window yet; let it go on first")
     if weights and not (folder / "weights.pt").is_file():
         raise UserError(f"{folder}: has no weights.pt")
     description = json.loads((folder / "run.json").read_text("utf-8"))
@@ -62,7 +66,6 @@ def keep(kept: Record, folder: Path, *, weights: bool = False) -> str:
     tables = {file: read_texts(folder / file, []) for file in TABLES}
     situations = tables["situations.csv"]
     if len(situations.columns):
-        inside = evaluations_inside(run, OwnWindows())["update"]
         tables["situations.csv"] = situations[situations["update"].astype(int).isin(inside)]
     kept.runs[name], kept.tables[name] = description, tables
     if run.options:

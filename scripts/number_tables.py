@@ -1,5 +1,6 @@
 """The tables of the record's numbers, from the runs in results/."""
 
+import re
 from collections.abc import Sequence
 from functools import cache
 from math import isnan, nan
@@ -175,11 +176,10 @@ def _shown(
 def _spent(row: Row, window: Window) -> str:
     """The hours up to the scores of the row, of the median seed that has one."""
     inside = {run: evaluations_inside(run, window)["seconds"] for run in row.runs}
-    hours = median(
-        seconds.max() / 3600 + _before(run) for run, seconds in inside.items() if len(seconds)
-    )
-    if isnan(hours):
+    each = [seconds.max() / 3600 + _before(run) for run, seconds in inside.items() if len(seconds)]
+    if any(map(isnan, each)):
         return NONE
+    hours = median(each)
     return f"{hours:.1f}" if hours >= 0.1 else f"{hours:.2f}"
 
 
@@ -215,6 +215,7 @@ def _row(folder: str) -> tuple[ScoreTable, Row]:
     """The table of a condition's runs alone, and its only row."""
     (table,) = score_tables(_runs(folder), "own")
     (row,) = table.rows
+    assert table.unreached is None, f"{folder}: no run has reached its window"
     return table, row
 
 
@@ -241,7 +242,8 @@ def runs() -> list[str]:
     for name in sorted({run.description.experiment for run in _all_runs()}):
         of_it = _runs(name)
         conditions = {run.description.condition for run in of_it}
-        started = min(str(run.description.version) for run in of_it)
+        versions = (str(run.description.version) for run in of_it)
+        started = min(versions, key=lambda one: [int(part) for part in re.findall(r"\d+", one)])
         frames = range_text([run.frames for run in of_it])
         what = (catalogue.summary("experiment", name), str(len(conditions)), str(len(of_it)))
         rows.append((code(name), *what, frames, started))

@@ -234,8 +234,8 @@ def report(
     try:
         if target is not None:
             target.mkdir(parents=True, exist_ok=True)
-            _remove_earlier(target)
             drawn = draw_matplotlib.draw(statistics, looks, target, format)
+            _remove_earlier(target, {path.name for paths in drawn.values() for path in paths})
             texts = {
                 target / "report.md": markdown.markdown_report(found, drawn, checked, statistics),
                 target / "report.tex": latex.latex_report(found, statistics),
@@ -280,7 +280,7 @@ def _pages(folders: Sequence[str | Path], written: Collection[Path]) -> list[str
     """The Markdown files in these folders, but for those that the report writes itself. Raises
     UserError: one cannot be read."""
     own = {path.resolve() for path in written}
-    found = (path for folder in folders for path in sorted(Path(folder).glob("*.md")))
+    found = (path for one in folders for path in sorted(Path(one).expanduser().glob("*.md")))
     texts = []
     for path in found:
         if path.is_file() and path.resolve() not in own:
@@ -302,15 +302,16 @@ def _checked(window: str | None, html: str | Path | None) -> Asked | None:
     return parse_window(window) if window is not None else None
 
 
-def _remove_earlier(folder: Path) -> None:
-    """Remove the plots that the report in `folder`, if there is one, says are its own, and its
-    claims."""
+def _remove_earlier(folder: Path, drawn: Collection[str]) -> None:
+    """Remove the plots that the report in `folder`, if there is one, says are its own, but for
+    those that have been drawn anew, and its claims."""
     from zipf.experiments.reporting.markdown import linked_plots
 
     earlier = folder / "report.md"
     if earlier.is_file():
         for name in linked_plots(earlier.read_text(encoding="utf-8", errors="replace")):
-            (folder / name).unlink(missing_ok=True)
+            if name not in drawn:
+                (folder / name).unlink(missing_ok=True)
         (folder / "claims.csv").unlink(missing_ok=True)
 
 

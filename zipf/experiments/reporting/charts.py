@@ -90,10 +90,11 @@ def charts(found: SeedStatistics, looks: Looks) -> list[Chart | HeatMaps]:
 
 def estimates(statistics: SeedStatistics, looks: Looks) -> Chart | None:
     """The interquartile mean of each row on each kind of levels, with its 95 % interval; the score,
-    as an empty mark, where there are fewer than two seeds; the paper's score and those of policies
-    that do not learn in grey. None without a score."""
+    as an empty mark, where there are fewer than two seeds, or where levels have weights, which that
+    mean does not know; the paper's score and those of policies that do not learn in grey. None
+    without a score."""
     table, frame = statistics.table, statistics.frame
-    scores = table.scores[table.scores["shown"].notna()]
+    scores = table.scores[table.scores["score"].notna()]
     rows = [row for row in table.rows if row.key in set(scores["row"])]
     if not rows:
         return None
@@ -122,8 +123,8 @@ def estimates(statistics: SeedStatistics, looks: Looks) -> Chart | None:
             }
             text = f"{row.title}: the paper {published:.2f}"
             lines.append(Line([published], [place], GREY, points=[text], **mark))
-            score, text = float(found["shown"]), f"{row.title}: {found['shown']:.2f}"
-            several = (row.key, kind) in known.index
+            score, text = float(found["score"]), f"{row.title}: {found['score']:.2f}"
+            several = (row.key, kind) in known.index and not levels.is_weighted
             if several:
                 estimate: Any = known.loc[(row.key, kind)]
                 score, low, high = (float(estimate[one]) for one in ("value", "low", "high"))
@@ -146,7 +147,7 @@ def estimates(statistics: SeedStatistics, looks: Looks) -> Chart | None:
         grey=_others(table, looks),
         note="Filled: interquartile mean of the scores of all seeds and levels; the line is the "
         "95 % interval of a stratified bootstrap over seeds. Empty: the score, where there are "
-        "fewer than two seeds.",
+        "fewer than two seeds or levels have weights.",
         width=2.3 + 1.75 * len(panels),
         height=1.25 + 0.235 * y.limits[0],
     )
@@ -163,7 +164,8 @@ def learning_curves(table: ScoreTable, looks: Looks, across: str = "") -> Chart 
     A curve of an agent that began with the weights of another begins at the frames of that.
 
     Time is in hours, or in minutes below two hours: that of training and evaluation together,
-    without external agents, whose time is not known. Where runs were on different devices there is
+    without external agents, whose time is not known, and those that began with another's weights,
+    whose time is not all there is to it. Where runs were on different devices there is
     no figure of it.
     """
     across = across or ("update" if frames_follow_updates(table) else "frames")
@@ -221,7 +223,11 @@ def learning_curves(table: ScoreTable, looks: Looks, across: str = "") -> Chart 
         shaded="Window of the table" if x.shades else "",
         band="Lowest to highest seed" if several else "",
         grey=_others(table, looks),
-        note=("Median over seeds; band: lowest to highest seed." if several else "One seed.")
+        note=(
+            "Median over the seeds that have come so far; band: lowest to highest of them."
+            if several
+            else "One seed."
+        )
         + (" Shaded: the window of the table." if x.shades else "")
         + (
             " Curves of agents that began with another's weights begin at its frames."
@@ -235,7 +241,8 @@ def _curve(run: Run, levels: Any, external: bool) -> pd.DataFrame:
     """A run's scores, with the frames of the run whose weights it began with."""
     means = run.mean_scores(levels)
     frames = means["frames"] + run.frames_before
-    return means.assign(frames=frames, **({"seconds": math.nan} if external else {}))
+    timed = not external and run.description.pretrained is None
+    return means.assign(frames=frames, **({} if timed else {"seconds": math.nan}))
 
 
 def _time_axis(table: ScoreTable, every: pd.DataFrame, across: str) -> Axis | None:
@@ -305,7 +312,7 @@ def averages(table: ScoreTable, looks: Looks) -> Chart | None:
     After the paper's figure of one agent, almost perfect on the training distribution and below
     60 % on the rarest objects. None without a score, or where not all three kinds have levels.
     """
-    scores = table.scores.pivot(index="row", columns="level_kind", values="shown")
+    scores = table.scores.pivot(index="row", columns="level_kind", values="score")
     if not set(PAPER_KINDS) <= set(scores):
         return None
     scores = scores[[*PAPER_KINDS]]
@@ -586,8 +593,8 @@ def _row_axis(names: Sequence[str]) -> tuple[list[float], Axis]:
 
 def _reach(values: Sequence[Numbers]) -> tuple[float, float]:
     """The limits of an axis of scores: 0 to 1 and whatever is needed beyond, with some room."""
-    every = np.concatenate([np.asarray(one, float) for one in values])
-    low, high = min(0.0, np.nanmin(every)), max(1.0, np.nanmax(every))
+    every = [number for one in values for number in np.asarray(one, float) if np.isfinite(number)]
+    low, high = min(0.0, *every), max(1.0, *every)
     return low - 0.05 * (high - low), high + 0.05 * (high - low)
 
 

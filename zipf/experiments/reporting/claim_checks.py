@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from typing import Literal
@@ -126,6 +126,13 @@ def _curve(seeds: Sequence[pd.DataFrame]) -> tuple[pd.Series, int]:
 
 # --- checks ----------------------------------------------------------------------------------
 
+_AT_FLOOR = f"none is {LEARNED} above the floor"
+
+
+def _none_has_learned(scores: Iterable[Measured]) -> bool:
+    """Whether no score is so far above the floor that it tells something."""
+    return all(one.score < one.floor + LEARNED - ROUNDING for one in scores)
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -226,8 +233,8 @@ class Expression:
             return UNDECIDED, text
         if self.measure:
             text += self._over_seeds(places, known)
-            if all(score.score < score.floor + LEARNED - ROUNDING for score in known.values()):
-                return UNDECIDED, f"{text}; none is {LEARNED} above the floor"
+            if _none_has_learned(known.values()):
+                return UNDECIDED, f"{text}; {_AT_FLOOR}"
         inside = self.at_least - ROUNDING <= value <= self.at_most + ROUNDING
         return "holds" if inside else "fails", text
 
@@ -321,6 +328,9 @@ class CurvesCheck:
         if fewest < PROTOCOL_SEEDS:
             text = f"{text} ({fewest}/{PROTOCOL_SEEDS} seeds)"
             return Verdict(UNDECIDED, bounds, (text,), True)
+        scores = [results.scores[place] for place in places if place in results.scores]
+        if scores and _none_has_learned(scores):
+            return Verdict(UNDECIDED, bounds, (f"{text}; {_AT_FLOOR}",), True)
         return Verdict("holds" if value <= self.at_most else "fails", bounds, (text,), True)
 
 

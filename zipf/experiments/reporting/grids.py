@@ -362,7 +362,10 @@ def _line(leading: list[str], scores: pd.DataFrame) -> Line:
     paper = zip(scores["paper_value"], scores["paper_error"], strict=True)
     return Line(
         leading,
-        [score_text(score, error) + f" {LAST_MARK}" * mark for score, error, mark in ours],
+        [
+            score_text(score, error) + f" {LAST_MARK}" * (mark and pd.notna(score))
+            for score, error, mark in ours
+        ],
         [score_text(*pair) for pair in paper],
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import textwrap
 from collections.abc import Sequence
@@ -93,16 +94,22 @@ def _column(cells: Sequence[str]) -> str:
     return rf"S[table-format={sign}{whole - len(sign) - 3}.2{error}{after}]"
 
 
-def _best(grid: Grid, columns: Sequence[Sequence[str]]) -> list[str]:
-    """For each column the cell with its best score, of agents that reached their window; empty
-    where columns are no level kinds, or there is only one row."""
+def _best(grid: Grid, columns: Sequence[Sequence[str]]) -> list[float]:
+    """For each column its best score, of agents that reached their window; NaN where columns are no
+    level kinds, or not all their cells scores, or there is only one row."""
     found = []
     for column in columns:
-        scores = [_SCORE.fullmatch(cell) for cell in column[: len(grid.lines)]]
-        known = [one for one in scores if one and not one[3]]
-        compared = grid.leading[0] == "Condition" and len(known) > 1
-        found.append(max(known, key=lambda one: float(one[1]))[0] if compared else "")
+        cells = [cell for cell in column[: len(grid.lines)] if cell not in ("", NONE)]
+        scores = [_SCORE.fullmatch(cell) for cell in cells]
+        known = [float(one[1]) for one in scores if one and not one[3]]
+        compared = grid.leading[0] == "Condition" and all(scores) and len(known) > 1
+        found.append(max(known) if compared else math.nan)
     return found
+
+
+def _is_score(cell: str, score: float) -> bool:
+    found = _SCORE.fullmatch(cell)
+    return found is not None and not found[3] and float(found[1]) == score
 
 
 def _cell(text: str, kind: str, bold: bool) -> str:
@@ -152,7 +159,7 @@ def _grid(grid: Grid, title: str, text: str) -> str:
     for number, given in enumerate(cells):
         shown = [_escape(cell) for cell in given[:leading]]
         for column, cell in enumerate(given[leading:]):
-            bold = number < len(grid.lines) and cell == best[column]
+            bold = number < len(grid.lines) and _is_score(cell, best[column])
             shown.append(_cell(cell, kinds[column], bold))
         texts.append(rf"{' & '.join(shown)} \\")
     if grid.baselines:

@@ -177,7 +177,7 @@ def looks_of(tables: Sequence[ScoreTable], highlight: Sequence[str] = ()) -> Loo
 def _best(table: ScoreTable) -> tuple[list[str], str]:
     if len(table.rows) <= MOST_IN_COLOUR:
         return [row.key for row in table.rows], ""
-    scores = table.scores.pivot(index="row", columns="level_kind", values="shown")
+    scores = table.scores.pivot(index="row", columns="level_kind", values="score")
     scores = scores.reindex([row.key for row in table.rows])
     validated = "validation" in scores and scores["validation"].notna().any()
     kind = "validation" if validated else "train"

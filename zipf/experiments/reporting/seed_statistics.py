@@ -234,13 +234,15 @@ def _rare_situations(table: ScoreTable) -> Grid | None:
 def success_by_situation(row: Row, table: ScoreTable) -> pd.DataFrame:
     """Success in each situation of the rare levels over the window: a line for each seed, a column
     for each situation (the tuple of its ranks), pairs of success and episodes. Where there are more
-    than `MOST_SITUATIONS`, for each value of the first rank. Empty where a seed has not met them
-    all, or does not report success."""
+    than `MOST_SITUATIONS`, for each value of the first rank. Without seeds that have none in the
+    window; empty where one of the others has not met them all, or does not report success."""
     lines = {}
     for run in row.runs:
         inside = situations_inside(run, table.window)
         rare = inside[inside["level_kind"] == "rare"]
         ranks = [*run.situation_names]
+        if not len(rare):
+            continue
         if not ranks or rare["successes"].isna().any():
             return pd.DataFrame()
         if len(rare.groupby(ranks)) > MOST_SITUATIONS:

@@ -299,6 +299,9 @@ def _seeds_notes(runs: Sequence[Run]) -> list[str]:
             f"The seeds of {runs[0].description.condition} have different titles "
             f"({', '.join(titles)}): the first is shown."
         )
+    versions = sorted({str(run.description.version) for run in runs})
+    if len(versions) > 1:
+        found.append(f"The seeds of {titles[0]} are of versions {' and '.join(versions)}.")
     names = sorted({name for run in runs for name in run.settings})
     differing = [name for name in names if len({repr(run.settings.get(name)) for run in runs}) > 1]
     if differing:

@@ -302,7 +302,7 @@ class Search:
         )
 
     def _score(self, folder: Path) -> float:
-        """The mean score in the run's window, or of its last evaluation where that comes before."""
+        """The median score in the run's window, or that of its last evaluation before it."""
         from zipf.experiments.records.results import load_run
         from zipf.experiments.reporting.windows import LastEvaluations, OwnWindows, window_of
 
@@ -311,7 +311,7 @@ class Search:
         inside = means[window_of(run, OwnWindows()).select(means["update"])]
         if not len(inside):
             inside = means[LastEvaluations(1).select(means["update"])]
-        return float(inside["score"].mean())
+        return float(inside["score"].median())
 
     def _ranked(self) -> list[_Tried]:
         return sorted(self._trials, key=lambda one: (not one.is_scored, -one.objective))
