@@ -225,6 +225,10 @@ def test_curves_windows_and_effort() -> None:
     crossing = {("a", "rare"): (pd.Series({10: 0.1, 20: 0.7}), 3)}
     crossing["b", "rare"] = pd.Series({10: 0.5, 20: 0.3}), 3  # above, then below
     assert curves.judge(Results({}, [], curves=crossing)).outcome == "fails"
+    scores = {(one, "rare"): Measured(0.5, 3, 1000, floor=0.48) for one in "ab"}
+    unlearned = curves.judge(Results(scores, [], curves=found.curves))
+    assert unlearned.outcome == "not enough data"
+    assert unlearned.numbers[0].endswith("none is 0.05 above the floor")
     few = Results({}, [], curves={("a", "rare"): (a, 2), ("b", "rare"): (b, 3)})
     assert curves.judge(few).outcome == "not enough data"
     assert curves.judge(Results({}, [])).at_hand is False

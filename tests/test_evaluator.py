@@ -72,6 +72,27 @@ def test_the_first_episodes_to_start_are_the_ones_scored(num_envs):
     assert (result["success"] == (result["return"] == 1)).all()
 
 
+def test_a_policy_may_keep_what_it_is_given():
+    """Frames of the step before, for instance, without a copy."""
+    kept, copies = [], []
+
+    def keeps(observation):
+        kept.append(observation["image"])
+        copies.append(observation["image"].copy())
+        return scripted(observation)
+
+    env = envs.make_vec("gridworld/uniform", 4, **SMALL)
+    evaluator.play(Plays(keeps), env, episodes=12, seed=0)
+    np.testing.assert_array_equal(kept, copies)
+    assert (kept[0] != kept[-1]).any()
+
+
+def test_batches_of_several_levels_are_not_measured():
+    levels = ["gridworld/uniform", "gridworld/rare"]
+    with pytest.raises(ValueError, match="of several levels: short episodes would count more"):
+        envs.measure_chance(levels, episodes=4, num_envs=4)
+
+
 def test_an_evaluation_tells_how_far_it_is():
     """Levels that stand in several kinds are counted once, and what it is told may end it."""
     split = envs.Split(
@@ -489,6 +510,14 @@ def test_intervals_cover_the_mean_as_often_as_they_say():
             low, high = scoring.score_interval(result(draw()))
             covered += low <= mean <= high
         assert 0.90 * 200 <= covered <= 0.99 * 200
+
+
+def test_scores_that_are_all_alike_are_no_more_certain_than_their_episodes():
+    """Also where situations could be drawn: of those that were met, and never solved."""
+    episodes = pd.DataFrame({"map": np.arange(20) % 4, "return": np.zeros(20)})
+    split_level = envs.SplitLevel("gridworld/rare")
+    low, high = scoring.score_interval(evaluator.Result("rare", split_level, episodes))
+    assert (low, high) == pytest.approx((0, 0.161), abs=1e-3)  # Wilson's of 0 of 20
 
 
 def test_intervals_of_scores_are_normalised():

@@ -177,6 +177,9 @@ def test_a_run_that_is_damaged_is_not_kept(tmp_path: Path, results: Path) -> Non
         keep_results.keep(found, folder)
     with pytest.raises(UserError, match="cannot be read"):
         keep_results.keep(found, tmp_path / "nowhere")
+    begun = write_run(tmp_path, {50: (0.9, 0.9, 0.9)}, seed=7)
+    with pytest.raises(UserError, match="has no evaluation in its window yet"):
+        keep_results.keep(found, begun)
     assert found == Record()
 
 

@@ -174,6 +174,16 @@ def test_models_of_stable_baselines3(sb3, recurrent):
         sb3.policy("model.zip")
 
 
+def test_a_model_that_explores_by_a_schedule_is_played_without(sb3):
+    import stable_baselines3
+
+    env = sb3.ZipfVecEnv(envs.make_vec("gridworld/uniform", 2, **TILES))
+    model = stable_baselines3.DQN("MultiInputPolicy", env, buffer_size=10, seed=0)
+    assert model.exploration_rate == 1.0
+    made = sb3.policy(model, deterministic=False)
+    assert made.deterministic
+
+
 def test_a_model_keeps_its_state(sb3, of_counting):
     model = ppo(sb3, **SMALL)
     assert not played(sb3.policy(model)).equals(of_counting)
@@ -361,6 +371,9 @@ def test_actions_of_a_tensordict_module_may_be_one_hot(of_counting):
     )
     with pytest.raises(ValueError, match="not one-hot"):
         played(torchrl.policy(TensorDictSequential(indices, wrong)))
+    between = TensorDictModule(lambda index: index / 8, in_keys=["index"], out_keys=["action"])
+    with pytest.raises(ValueError, match="returns float32 actions; should be integers"):
+        played(torchrl.policy(TensorDictSequential(indices, between)))
 
 
 def test_the_only_observation_may_be_called_observation():
@@ -694,7 +707,8 @@ def test_an_onnx_file_keeps_its_state(tmp_path, of_counting, onnx_policy):
             {"shape": (4, *IMAGE)},
             r"batches of 4 only, and 8 .* are played; say num_envs=4",
         ),
-        ({"state": ("n", "k")}, r"'steps' .* fixed shape after the batch axis"),
+        ({"state": ("n", "k")}, r"'steps' .* batch axis first and a fixed shape after it"),
+        ({"state": (1, "n")}, r"'steps' .* batch axis first and a fixed shape after it"),
     ],
 )
 def test_onnx_files_that_do_not_fit_are_refused(declared, message, tmp_path, onnx_policy):

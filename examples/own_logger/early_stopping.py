@@ -29,7 +29,7 @@ class EarlyStopping(Logger):
             return None
         rows = pd.read_csv(self.table)
         scores = rows[rows["level_kind"] == "validation"].groupby("update")["score"].mean()
-        if len(scores.loc[scores.idxmax() :]) <= self.options.patience:
+        if scores.empty or len(scores.loc[scores.idxmax() :]) <= self.options.patience:
             return None
         return f"no better validation score than {scores.max():.3f} at update {scores.idxmax()}"
 

@@ -18,7 +18,7 @@ class JsonLines(Logger):
 
     def on_start(self, run):
         self.path = run.folder / self.options.file
-        lines = [] if run.is_new else self.path.read_text().splitlines()
+        lines = self.path.read_text().splitlines() if self.path.exists() else []
         # What came after the checkpoint that the run goes on from is written again.
         kept = [line for line in lines if json.loads(line)["update"] <= run.update]
         self.path.write_text("".join(f"{line}\n" for line in kept))

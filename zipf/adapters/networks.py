@@ -119,7 +119,10 @@ class NetworkPolicy(ABC):
                 f"that are neither observations ({', '.join(observation)}) nor given are: "
                 f"{', '.join(self.states) or 'none'}"
             )
-        self.action = self.choose(output).astype(np.int64)
+        action = self.choose(output)
+        if action.dtype.kind not in "iu":
+            raise ValueError(f"{self.name}: returns {action.dtype} actions; should be integers")
+        self.action = action.astype(np.int64)
         return self.action
 
     def choose(self, output: NDArray) -> NDArray:

@@ -69,7 +69,7 @@ class _OnnxPolicy(NetworkPolicy):
         return self
 
     def initial_state(self, num_envs: int) -> list[NDArray]:
-        for _, lengths in self.declared.values():
+        for lengths in (self.declared[name][1] for name in self.read):
             if lengths[:1] not in ([], [None], [num_envs]):
                 raise ValueError(
                     f"{self.name}: takes batches of {lengths[0]} only, and {num_envs} environments "
@@ -79,10 +79,10 @@ class _OnnxPolicy(NetworkPolicy):
         for name in self.states:
             dtype, lengths = self.declared[name]
             known = [length for length in lengths[1:] if length is not None]
-            if not lengths or len(known) < len(lengths) - 1:
+            if lengths[:1] not in ([None], [num_envs]) or len(known) < len(lengths) - 1:
                 raise ValueError(
-                    f"{self.name}: its input {name!r} is no observation, and as a state it needs "
-                    f"a fixed shape after the batch axis; it is {lengths}"
+                    f"{self.name}: its input {name!r} is no observation, and as a state it should "
+                    f"have the batch axis first and a fixed shape after it; it is {lengths}"
                 )
             initial.append(np.zeros((num_envs, *known), dtype))
         return initial

@@ -213,7 +213,8 @@ def policy(model: BaseAlgorithm, *, deterministic: bool = False) -> ModelPolicy:
     Args:
         model: the model. Its attribute `env_options`, where you give it one, names the constructor
             options that it was trained with, and is saved with it.
-        deterministic: its most probable actions in the place of draws.
+        deterministic: its most probable actions in the place of draws; always where it explores
+            by a schedule (`exploration_rate`), as DQN, which is no part of its policy.
 
     Raises:
         TypeError: `model` is no such model.
@@ -228,7 +229,7 @@ class ModelPolicy:
 
     def __init__(self, model: BaseAlgorithm, deterministic: bool) -> None:
         self.model = model
-        self.deterministic = deterministic
+        self.deterministic = deterministic or hasattr(model, "exploration_rate")
         self.env_options = getattr(model, "env_options", None)
 
     def for_envs(

@@ -1,7 +1,7 @@
 """Plays episodes on a level, and measures the scores of random actions and of scripted policies."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from zipf.envs.vector import Observation, ZipfVectorEnv
 
 
 def measure_chance(
-    level: Level | SplitLevel | Sequence[Level | SplitLevel],
+    level: Level | SplitLevel,
     *,
     episodes: int = 1000,
     seed: int = 0,
@@ -38,7 +38,7 @@ def measure_chance(
 
 def measure(
     policy: Callable[[Any], BoundPolicy],
-    level: Level | SplitLevel | Sequence[Level | SplitLevel],
+    level: Level | SplitLevel,
     *,
     episodes: int = 1000,
     seed: int = 0,
@@ -52,7 +52,7 @@ def measure(
 
     Args:
         policy: `policy(env)` plays a batch: called, it gives actions [N].
-        level: what `make_vec` takes.
+        level: what `make_vec` takes for a single level.
         episodes: how many episodes, at least 1.
         seed: of the envs, and of random actions.
         num_envs: envs played at a time; more of them take more RAM and less time.
@@ -82,7 +82,8 @@ def play_episodes(
     at a time those with short episodes finish more of them, and counting the first to end would
     count short ones too often. Returns by name, an array [episodes] in the order in which the
     episodes started: the situation's ranks, `success` (where the envs report it), `return` and
-    `length`. Raises ValueError: the batch has another autoreset mode; EnvError: a counted episode
+    `length`. Raises ValueError: the batch has another autoreset mode, or envs of several levels;
+    EnvError: a counted episode
     is longer than `env.longest_episode`.
 
     Args:
@@ -97,6 +98,8 @@ def play_episodes(
     """
     if env.autoreset_mode is not AutoresetMode.SAME_STEP:
         raise ValueError(f"autoreset_mode must be SAME_STEP, got {env.autoreset_mode.name}")
+    if isinstance(env.level_of_envs, np.ndarray):
+        raise ValueError("the envs are of several levels: short episodes would count more")
     names = [*env.situation, *(["success"] if env.reports_success else []), "return", "length"]
     records: dict[str, NDArray] = {}
     # The episode that each env plays, numbered as they start; from `episodes` on, not counted.

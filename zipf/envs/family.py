@@ -307,7 +307,7 @@ def find_level(level: str) -> tuple[Family, str]:
     if not isinstance(level, str):
         raise ValueError(f"a level must be a name such as 'gridworld/zipf_2', got {level!r}")
     prefix, _, name = level.partition("/")
-    if prefix not in _FAMILIES or not name or name.startswith(f"{prefix}/"):
+    if prefix not in _FAMILIES or not name:
         known = [f"{one.name}/{name}" for one in _FAMILIES.values() for name in one.levels]
         raise unknown("level", level, known)
     found = _FAMILIES[prefix]

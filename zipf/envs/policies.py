@@ -26,15 +26,17 @@ class Teacher(Remembering):
     level has no such policy."""
 
     def __init__(self, name: Scripted, split: Split, env: ZipfVectorEnv):
-        self._env = env
         self._policies: dict[int, BoundPolicy] = {}
         self._sliced: SlicedPolicy | None = None
         if isinstance(env, Slices):
             self._sliced = SlicedPolicy(env, partial(Teacher, name, split))
             return
         batches = {0: (split.train[0].name, env)}
-        if isinstance(env, Mixture):  # one policy for all envs on an engine
-            firsts = np.unique(env.engines).tolist()
+        # The split's own, and not a level that is a mixture itself.
+        self._mixture: Mixture | None = None
+        if isinstance(env, Mixture) and split.train[0].name in env.level_names:
+            self._mixture = env
+            firsts = np.unique(env.engines).tolist()  # one policy for all envs on an engine
             batches = {k: (env.level_names[k], env.batches[k]) for k in firsts}
         for k, (level, batch) in batches.items():
             policy = scripted(name, level, batch)
@@ -45,10 +47,10 @@ class Teacher(Remembering):
     def __call__(self) -> NDArray[np.int64]:
         if self._sliced is not None:
             return self._sliced()
-        if not isinstance(self._env, Mixture):
+        if self._mixture is None:
             return self._policies[0]()
-        actions = np.zeros(self._env.num_envs, np.int64)
-        engines = self._env.engines[self._env.levels_of_envs]
+        actions = np.zeros(self._mixture.num_envs, np.int64)
+        engines = self._mixture.engines[self._mixture.levels_of_envs]
         for k in np.unique(engines).tolist():
             np.copyto(actions, self._policies[k](), where=engines == k)
         return actions

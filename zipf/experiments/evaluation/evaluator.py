@@ -19,7 +19,7 @@ from zipf import envs
 from zipf.envs.arguments import whole
 from zipf.envs.episodes import play_episodes
 from zipf.envs.mixture import Mixture
-from zipf.envs.vector import ZipfVectorEnv
+from zipf.envs.vector import Observation, ZipfVectorEnv
 from zipf.experiments.building.seeds import derive_seed
 from zipf.experiments.evaluation.scripted import ScriptedPolicy
 
@@ -37,10 +37,7 @@ def unwatched(ended: int, episodes: int) -> None:
 
 
 class Policy(Protocol):
-    """Plays a batch of envs; may have a memory.
-
-    The arrays of an observation are overwritten by the next step: copy what is to be kept.
-    """
+    """Plays a batch of envs; may have a memory. What it is given is its own, to be kept."""
 
     def start(self, num_envs: int) -> None:
         """Clears the memory: `num_envs` new envs begin."""
@@ -113,8 +110,9 @@ def play(
     """
     policy.start(env.num_envs)
 
-    def act(*seen: Any) -> NDArray:
-        return _checked(policy(*seen), env)
+    def act(observation: Observation, reward: NDArray, is_first: NDArray) -> NDArray:
+        own = {name: part.copy() for name, part in observation.items()}  # the envs' are overwritten
+        return _checked(policy(own, reward, is_first), env)
 
     return pd.DataFrame(play_episodes(env, act, episodes, seed=seed, watch=watch))
 
@@ -123,7 +121,7 @@ def _checked(actions: Any, env: ZipfVectorEnv) -> NDArray:
     count = int(env.single_action_space.n)
     try:
         array = np.asarray(actions)
-    except ValueError:  # a pair of actions and a state, for instance
+    except (ValueError, TypeError, RuntimeError):  # a pair of actions and a state, for instance
         got = f"a {type(actions).__name__} that is no array"
     else:
         if array.shape != (env.num_envs,) or array.dtype.kind not in "iu":

@@ -41,9 +41,10 @@ class Evaluation:
     not the differences between agents trained from other seeds. Of a level whose returns are all 0
     or 1, and of `success`, they are Wilson's (1927); of other returns the percentiles of a
     bootstrap of 2000 resamples (Efron 1979), NaN for a single episode; scores have the intervals of
-    their mean returns, normalised. Scores on rare, validation and fresh levels also cover which
-    situations these are: of a bootstrap that draws situations, and then episodes of each. Where
-    most situations were met fewer than five times, it draws values of the first rank. Of the mean
+    their mean returns, normalised. Where returns differ, scores on rare, validation and fresh
+    levels also cover which situations these are: of a bootstrap that draws situations, and then
+    episodes of each. Where most situations were met fewer than five times, it draws values of the
+    first rank. Of the mean
     over several levels they are combined by MOVER (Zou, Huang and Zhang 2009, Computational
     Statistics & Data Analysis 53(11)).
 
@@ -319,7 +320,7 @@ def _kinds(levels: pd.DataFrame) -> pd.DataFrame:
 def score_interval(result: Result) -> tuple[float, float]:
     """The 95 % confidence interval of a level's score; see `Evaluation`."""
     returns = result.episodes["return"].to_numpy()
-    situations = _situations_met(result)
+    situations = None if returns.min() == returns.max() else _situations_met(result)
     interval: Callable[[NDArray], tuple[float, float]] = _bootstrap
     if situations is not None:
         interval = partial(bootstrap_over_situations, situations)

@@ -122,6 +122,7 @@ def bootstrap(
         samples,
         statistic,
         n_resamples=RESAMPLES,
+        batch=100 if len(samples) == 1 else None,  # ours: of many episodes these are megabytes
         method="percentile",
         vectorized=True,
         axis=-1,
