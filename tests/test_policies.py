@@ -179,9 +179,8 @@ def test_a_model_that_explores_by_a_schedule_is_played_without(sb3):
 
     env = sb3.ZipfVecEnv(envs.make_vec("gridworld/uniform", 2, **TILES))
     model = stable_baselines3.DQN("MultiInputPolicy", env, buffer_size=10, seed=0)
-    assert model.exploration_rate == 1.0
-    made = sb3.policy(model, deterministic=False)
-    assert made.deterministic
+    assert sb3.policy(model).deterministic
+    assert not sb3.policy(ppo(sb3, **TILES)).deterministic
 
 
 def test_a_model_keeps_its_state(sb3, of_counting):
