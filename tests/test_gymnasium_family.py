@@ -57,6 +57,20 @@ def over(count: int = 10, **options: Any) -> zipf.envs.Family:
     return zipf.envs.zipfian("Goal-v1", over={"goal": range(count)}, **options)
 
 
+def test_a_family_may_be_called_as_the_namespace_of_its_environments() -> None:
+    ids = [f"goals/{word}-v0" for word in ("One", "Two", "Three", "Four", "Five")]
+    for goal, id in enumerate(ids):
+        gym.register(id, Goal, kwargs={"goal": goal})
+    try:
+        assert zipf.envs.register(zipf.envs.zipfian(ids)).name == "goals"
+        assert (make_vec("goals/goals/Three-v0", 2).reset()[0]["observation"] == 2).all()
+        with pytest.raises(ValueError, match="unknown level 'goals/goals/Six-v0'"):
+            make_vec("goals/goals/Six-v0", 2)
+    finally:
+        for id in ids:
+            del gym.registry[id]
+
+
 def test_a_list_of_ids() -> None:
     made = zipf.envs.register(zipf.envs.zipfian(IDS, exponent=2))
     assert made.name == "goal"

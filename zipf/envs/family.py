@@ -307,10 +307,11 @@ def find_level(level: str) -> tuple[Family, str]:
     if not isinstance(level, str):
         raise ValueError(f"a level must be a name such as 'gridworld/zipf_2', got {level!r}")
     prefix, _, name = level.partition("/")
-    if prefix not in _FAMILIES or not name:
+    found = _FAMILIES.get(prefix)
+    twice = found is not None and name.startswith(f"{prefix}/") and name not in found.levels
+    if found is None or not name or twice:
         known = [f"{one.name}/{name}" for one in _FAMILIES.values() for name in one.levels]
         raise unknown("level", level, known)
-    found = _FAMILIES[prefix]
     found.check_level(name)
     return found, name
 
