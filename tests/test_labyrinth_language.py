@@ -122,8 +122,8 @@ def test_one_choice_ends_a_task(level: str) -> None:
     [(DESCRIBED, -2.0, 2.0), (LOCATED, -2.0, 2.0), (EXECUTE, 2.0, 4.5), (ANSWER, 3.5, 6.5)],
 )
 def test_what_objects_betray_without_the_instruction(level: str, least: float, most: float) -> None:
-    """The mean reward of the first choice of who cannot read, over 400 tasks. Goals
-    have the first numbers: who chose by these would have it all."""
+    """The mean reward of the first choice of who cannot read, over 400 tasks. Goals have
+    the first numbers: who chose by these would have it all."""
     env = batch(level, 1)
     env.reset(seed=0)
     total = 0.0

@@ -44,9 +44,8 @@ class Evaluation:
     their mean returns, normalised. Where returns differ, scores on rare, validation and fresh
     levels also cover which situations these are: of a bootstrap that draws situations, and then
     episodes of each. Where most situations were met fewer than five times, it draws values of the
-    first rank. Of the mean
-    over several levels they are combined by MOVER (Zou, Huang and Zhang 2009, Computational
-    Statistics & Data Analysis 53(11)).
+    first rank. Of the mean over several levels they are combined by MOVER (Zou, Huang and Zhang
+    2009, Computational Statistics & Data Analysis 53(11)).
 
     Attributes:
         split: the split's name.

@@ -91,7 +91,7 @@ UNCHANGED = np.array([[0, 0, 1, 2, 0, 0, 1.0, 0, 0]])
 _OF_IMAGES = {"channels": False, "shift": 0, "scale": [1, 1], "cutout": 0}
 
 
-def has_colours(image: gym.Space) -> bool:
+def _has_colours(image: gym.Space) -> bool:
     """Whether an image has colours: three channels, or four of which the last is none."""
     assert image.shape is not None
     return image.shape[-1] in (3, 4)
@@ -129,7 +129,7 @@ class RandomAugmentation:
                 f"augmentation.{chosen[0]}: the observations have no image; choose "
                 f"{_OF_IMAGES[chosen[0]]}"
             )
-        if options.channels and not any(has_colours(space[name]) for name in self.images):
+        if options.channels and not any(_has_colours(space[name]) for name in self.images):
             raise ValueError(
                 "augmentation.channels=true: the images have no colours, which are the first three "
                 "of three or four channels; choose false"

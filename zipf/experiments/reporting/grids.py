@@ -357,15 +357,12 @@ def _names(groups: Sequence[LevelGroup]) -> list[str]:
 
 
 def _line(leading: list[str], scores: pd.DataFrame) -> Line:
-    marked = scores["marked"].eq(True)
+    marked = scores["marked"].eq(True) & scores["shown"].notna()
     ours = zip(scores["shown"], scores["shown_error"], marked, strict=True)
     paper = zip(scores["paper_value"], scores["paper_error"], strict=True)
     return Line(
         leading,
-        [
-            score_text(score, error) + f" {LAST_MARK}" * (mark and pd.notna(score))
-            for score, error, mark in ours
-        ],
+        [score_text(score, error) + f" {LAST_MARK}" * mark for score, error, mark in ours],
         [score_text(*pair) for pair in paper],
     )
 

@@ -122,7 +122,8 @@ def bootstrap(
         samples,
         statistic,
         n_resamples=RESAMPLES,
-        batch=100 if len(samples) == 1 else None,  # ours: of many episodes these are megabytes
+        # Ours: megabytes, where a sample has many episodes. Of several it would change the draws.
+        batch=100 if len(samples) == 1 else None,
         method="percentile",
         vectorized=True,
         axis=-1,

@@ -89,8 +89,8 @@ class LanguageEpisode(Episode):
         task = self.task
         blocked = task.layout.solid & known.seen(*task.layout.solid.shape)
         there = [number for item, number in self._there() if known.knows(item)]
-        others = [number for number in there if number not in task.judge.goals]
-        goals = [one for one in there if one not in others and self._is_told(one, known)]
+        others = [one for one in there if one not in task.judge.goals]
+        goals = [one for one in there if one in task.judge.goals and self._is_told(one, known)]
         if goals:
             return self._fetch(goals, others, blocked)
         self._block(blocked, others)
