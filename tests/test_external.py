@@ -1,5 +1,6 @@
 """Agents of other programs as rows of our tables, and what such a row must not be taken for."""
 
+import functools
 import json
 import shutil
 import sys
@@ -25,9 +26,16 @@ def policy(observation):
     return observation["image"][:, 31, 31, 0].astype(int) % 8
 
 
-def recorded(folder, frames=1000, **options):
+def recorded(folder, frames=1000, split="gridworld", **options):
     options = {"name": "Theirs", "experiment": "demo", **PLAY, **DEMO, **options}
-    return evaluate.record(policy, "gridworld", folder, frames=frames, **options)
+    return evaluate.record(policy, split, folder, frames=frames, **options)
+
+
+def test_the_ranks_are_those_of_the_level_that_has_most(tmp_path):
+    few = functools.partial(envs.make_vec, "gridworld/uniform", num_maps=3)
+    split = envs.Split("few_maps", lambda n, num_maps, **o: few(n, **o), *["gridworld/uniform"] * 2)
+    recorded(tmp_path, split=split)
+    assert results.load_run(tmp_path).description.situation == {"map": 20, "target": 5}
 
 
 @pytest.mark.parametrize("content", [b"update,frames\n", b"\x80\n", b"update\n1,2\n"])

@@ -29,6 +29,7 @@ from zipf.envs.family import (
     make_train,
     make_vec,
     questions,
+    ranks_of,
     register,
     scripted,
     sliceable,
@@ -67,7 +68,7 @@ __all__ = [
     "Split", "SplitLevel", "TensorEnv", "ZipfVectorEnv", "all_splits", "baseline", "expert",
     "families", "family_of_split", "find_family", "find_level", "generalist", "goal", "has_tensor",
     "keys", "make", "make_scored", "make_tensor", "make_train", "make_vec", "measure_chance",
-    "questions", "register", "scripted", "sliceable", "split", "symmetries", "zipfian",
+    "questions", "ranks_of", "register", "scripted", "sliceable", "split", "symmetries", "zipfian",
 ]  # fmt: skip
 
 for _package in OURS:

@@ -532,6 +532,19 @@ def make_scored(split: Split, level: SplitLevel, num_envs: int, **kwargs: Any) -
     return _mixture(ranked, num_envs, only, **kwargs)
 
 
+def ranks_of(split: Split, **kwargs: Any) -> dict[str, int]:
+    """The ranks of the situations of a split's levels, with how many each has: the most of any
+    level. The constructor options are those of `make_scored`, as are the errors."""
+    levels = _ranked(split)
+    ranks: dict[str, int] = {}
+    for level in levels if split.draw == "worlds" else levels[:1]:
+        env = make_scored(split, level, 1, **kwargs)
+        env.close()
+        for name, size in env.situation.items():
+            ranks[name] = max(size, ranks.get(name, 0))
+    return ranks
+
+
 def _ranked(split: Split) -> list[SplitLevel]:
     """All levels of a split, each once: the train levels from the most frequent on, then others."""
     levels = {one.name: one for one in sorted(split.train, key=lambda level: -level.weight)}

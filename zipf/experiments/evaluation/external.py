@@ -125,7 +125,7 @@ def record(
         "spread": split.spread,
         "environment": _environment(split, level_options),
         "paper": _paper(split, level_options),
-        "situation": _situation(split, level_options),
+        "situation": envs.ranks_of(split, **level_options),
         "external": {"name": name, "env_options": env_options(split, **level_options)},
         "version": zipf.__version__,
         "images": _images(split),
@@ -219,12 +219,6 @@ def _images(split: envs.Split) -> int:
     if split.name not in envs.all_splits():
         return 0
     return len(envs.family_of_split(split.name).image_changes)
-
-
-def _situation(split: envs.Split, level_options: Mapping[str, Any]) -> dict[str, int]:
-    env = envs.make_scored(split, split.train[0], 1, **level_options)
-    env.close()
-    return env.situation
 
 
 def _version(library: str) -> str | None:

@@ -228,7 +228,7 @@ class Run:
             self._load(saved)
         if self.is_finished and self.learner.is_first:
             assert self._lengths is not None
-            run_folder.check_description(config, self.env.situation)
+            run_folder.check_description(config, self._ranks())
             Tables.check(self.folder, self.update, self._lengths)
         self.name = config.run_name
         self.outputs = Outputs(
@@ -299,17 +299,21 @@ class Run:
         return f"envs: stepped {where}; {how}{compiled}"
 
     def _begin_files(self) -> None:
+        ranks = self._ranks()
         if not self.is_new:
-            run_folder.check_description(self.config, self.env.situation)
+            run_folder.check_description(self.config, ranks)
         self.outputs.open(self.update, self._lengths)
         resumed_at = None if self.is_new else self.update
         run_folder.write_description(
             self.config,
-            self.env.situation,
+            ranks,
             self._words,
             resumed_at=resumed_at,
             pretrained=self._pretrained,
         )
+
+    def _ranks(self) -> dict[str, int]:
+        return envs.ranks_of(self.config.split, **self.config.level_options)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.outputs.display.stop()
