@@ -137,6 +137,7 @@ def on_cpu(value):
 
 CAPTURED = [
     ("impala", "memory=mlp", "exploration=count"),
+    ("impala", "memory=lstm", "augmentation=random"),
     ("impala", "memory=lstm", "augmentation=random", "hindsight=achieved"),
     ("impala", "memory=lstm", "auxiliary=vision"),
     ("impala", "memory=lstm", "auxiliary=byol"),

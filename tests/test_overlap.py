@@ -131,6 +131,22 @@ def test_a_resumed_run_equals_an_uninterrupted_one(stop, tmp_path):
     assert learned(whole.folder)["source"]["pending"].keys() == parts
 
 
+def test_an_unroll_that_was_not_learned_from_stays_in_ram(tmp_path):
+    """Its memory alone is on the device, as that of a collected one: augmentation of what the host
+    steps is NumPy's."""
+    config = config_of(tmp_path, "augmentation=random")
+    run_folder.make(config.folder)
+    with runner.Run(config) as run:
+        run.step()
+        state = run.rollouts.state_dict()
+        run.rollouts.collector.device = "meta"
+        run.rollouts.load_state_dict(state)
+        pending = run.rollouts._pending
+        assert {part.device.type for part in pending.memory.values()} == {"meta"}
+        assert_equal(pending.steps.to_dict(), state["pending"]["steps"])
+        pending.changed(run.agent.augmentation)
+
+
 def test_episodes_are_counted_in_the_unrolls_that_were_learned_from(tmp_path):
     config = config_of(tmp_path, "updates=8", "environment.max_steps=4")
     run_folder.make(config.folder)

@@ -14,7 +14,8 @@ The state holds the keys and values of the last `memory_length` frames, so that 
 only those of the current frame. Transformer-XL holds the layer's inputs instead and projects them
 anew in every segment: the gradient stops at these inputs, but reaches the projections of keys and
 values. Here the projections learn from the frames of the unroll alone, and the keys and values in
-the state are those of older weights; for an actor-critic, of the update before or so.
+the state are those of older weights: for an actor-critic, of the update before or so; for R2D2, of
+when the sequence was played, except for those of the `burn_in` frames before it.
 """
 
 from __future__ import annotations

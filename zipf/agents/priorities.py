@@ -77,8 +77,9 @@ class PrioritySampler(Sampler):
     `slots`, and its priority in leaf k mod `capacity` of the tree: draws do not depend on how much
     larger the ring is.
 
-    New items get the largest priority so far. An importance weight is (n P)^-exponent divided by
-    the largest of its batch, with n the number of items and P the probability of the draw.
+    New items get the largest priority so far, at least 1. An importance weight is (n P)^-exponent
+    divided by the largest of its batch, with n the number of items and P the probability of the
+    draw.
     """
 
     def __init__(

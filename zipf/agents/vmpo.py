@@ -36,7 +36,7 @@ from zipf.agents.learner import Learner, LearnerOptions, Loss
 from zipf.agents.memory import State
 from zipf.agents.network import ActorCritic, Inputs, action_log_probability, frozen_copy, sampled
 from zipf.agents.returns import lambda_returns
-from zipf.agents.unroll import Unroll, weighted
+from zipf.agents.unroll import Unroll
 from zipf.options import Context, Fraction, Positive, Share, Size
 
 SMALLEST_DUAL = 1e-8  # Song et al. 2020
@@ -130,13 +130,14 @@ class VMPO(Learner):
             discount=o.discount,
             lambda_=1.0,
         )
+        weights = steps.get("weight", None)
         losses = vmpo_losses(
             log_policy=outputs.logits[:-1].log_softmax(-1),
             log_target=steps["logits"].log_softmax(-1),
             actions=steps["action"],
             values=outputs.value[:-1].detach(),
             returns=returns,
-            weights=steps.get("weight", None),
+            weights=weights,
             eta=self.duals["eta"],
             alpha=self.duals["alpha"],
             epsilon_eta=o.epsilon_eta,
@@ -144,7 +145,7 @@ class VMPO(Learner):
             top_fraction=o.top_fraction,
         )
         errors = self.network.critic.loss(outputs.baseline[:-1], returns)
-        baseline_loss = weighted(errors, steps).mean()
+        baseline_loss = _mean(errors, weights)
         relabelled_loss, relabelled_metrics = hindsight_loss(
             self.network,
             unroll.episodes,
@@ -224,9 +225,6 @@ def vmpo_losses(
         top_fraction: the fraction of the steps that the policy is fitted to.
     """
 
-    def mean(frames: Tensor) -> Tensor:
-        return (frames if weights is None else weights * frames).mean()
-
     advantages = returns - values
     top = is_top(advantages, top_fraction)
     in_fixed_shapes = fixed.shapes(advantages)
@@ -248,7 +246,7 @@ def vmpo_losses(
     log_mean = scaled.logsumexp(0) - total.double().log().float()
 
     log_pi = action_log_probability(log_policy, actions)
-    kl = mean((log_target.exp() * (log_target - log_policy)).sum(-1))
+    kl = _mean((log_target.exp() * (log_target - log_policy)).sum(-1), weights)
     return VMPOLosses(
         policy=-(psi * of_top(log_pi)).sum(),
         eta=best.max() + eta * (epsilon_eta + log_mean),
@@ -256,6 +254,11 @@ def vmpo_losses(
         kl=kl.detach(),
         entropy=-(log_policy.detach().exp() * log_policy.detach()).sum(-1).mean(),
     )
+
+
+def _mean(frames: Tensor, weights: Tensor | None) -> Tensor:
+    """The weighted mean, float32 [], of [T, B]; only the ratios of weights count."""
+    return frames.mean() if weights is None else (weights * frames).sum() / weights.sum()
 
 
 def is_top(advantages: Tensor, fraction: float) -> Tensor:

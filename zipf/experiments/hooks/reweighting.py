@@ -48,7 +48,8 @@ class _Weights(Options):
 
 class InverseCountOptions(_Weights):
     """Weights proportional to n^-power of a goal that was asked for n times: 0 leaves frames alike,
-    1 makes all goals count the same, as far as `largest_weight` allows it."""
+    1 gives all goals the weight of as many episodes, as far as `largest_weight` allows it. Goals
+    whose episodes are longer have more of the frames."""
 
     name: Literal["inverse_count"]
     power: Share

@@ -19,6 +19,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import replace
 from typing import Any, Protocol, TypeVar
 
 import torch
@@ -272,7 +273,10 @@ class BackgroundRollouts(SynchronousRollouts):
         self._episodes = defaultdict(list, {k: list(v) for k, v in state["episodes"].items()})
         self._pending = None
         if state["pending"]:
-            self._pending = Unroll.of_state(state["pending"]).to(self.collector.device)
+            pending = Unroll.of_state(state["pending"])
+            moved = pending.to(self.collector.device)  # as collected: memory alone is on the device
+            memory, late = moved.memory, moved.late_memory
+            self._pending = replace(pending, memory=memory, late_memory=late)
 
 
 class TensorRollouts(SynchronousRollouts):
