@@ -270,6 +270,8 @@ MISTAKES = [
     (["experiment=demo", "name=1"], ["name=1", "quote"]),
     (["experiment=demo", f"name='{'é' * 200}'"], ["at most 255 bytes"]),
     (["experiment=demo", "seed=1,"], ["seed=1,: ends in a comma"]),
+    (["experiment=demo", "seed='1'"], ["seed='1': is text; should be a whole number, without q"]),
+    (["sweep=demo"], ["sweep: is of many runs: python -m zipf.train -m sweep=<name>"]),
     (
         ["experiment=playroom_lift_compact", "runtime=ray", "threads=2"],
         ["threads=2: with runtime=ray each actor steps its envs; leave it out"],

@@ -161,6 +161,12 @@ def test_a_file_that_was_edited_is_read_again(folder):
     assert values("experiment=mine", "seed=3")["updates"] == 71
 
 
+def test_the_name_of_a_block_may_have_a_dot(folder):
+    folder({"condition.yaml": "# Short.\nimpala_0.9: {agent: {impala: {discount: 0.9}}}\n"})
+    assert values("experiment=demo", "condition=impala_0.9")["agent"]["discount"] == 0.9
+    assert config_files.find("condition", "impala_0.9").place.comment == "Short."
+
+
 def test_files_in_hydras_layout_are_told_their_places(folder):
     places = {
         "condition/a.yaml": "the block 'a' of {}/condition.yaml",
@@ -209,6 +215,25 @@ def test_files_in_hydras_layout_are_told_their_places(folder):
         ("condition.yaml", "bad:\n  choose: {memory: 3}\n", "yaml:2: choose: should be names of"),
         ("experiments/bad.yaml", "updates: 1\ndefaults: [demo]\n", "bad.yaml:2: defaults: are Hyd"),
         ("memory.yaml", "mlp: 3\n", "memory.yaml:1: mlp: should be options"),
+        ("memory.yaml", "3: {size: 4}\n", "memory.yaml: 3 is no name of a block"),
+        ("memory.yaml", "~: 4\n", "found a key that is no name"),
+        ("memory.yaml", "? [1, 2]\n: 4\n", "found a key that is no name"),
+        ("memory.yaml", "a: !!set {b, c}\n", "could not determine a constructor for the tag"),
+        ("experiments/bad.yaml", "like: demo\ncondition: ppo\n", "bad.yaml:2: condition: is cho"),
+        ("experiments/bad.yaml", "like: demo\nexperiment: x\n", "bad.yaml:2: experiment: is the"),
+        (
+            "experiments/bad.yaml",
+            "like: demo\nagent:\n  impla: {discount: 0.5}\n",
+            "bad.yaml:3: agent: there is no impla; did you mean impala?",
+        ),
+        (
+            "condition.yaml",
+            "bad:\n  row: {title: x}\n  memory: {lsmt: {size: 7}}\n",
+            ":3: memory: there is no lsmt; did you mean lstm?",
+        ),
+        ("memmory.yaml", "a: {size: 3}\n", "memmory.yaml: should be memory.yaml"),
+        ("train.yaml", "updates: 3\n", "train.yaml: is read from zipf's own folder alone"),
+        ("experiments/a.yml", "like: demo\n", "a.yml: should be a.yaml"),
     ],
 )
 def test_mistakes_in_files_are_one_line(file, text, told, folder):

@@ -248,6 +248,14 @@ def agent(trained_once):
     return zipf.load_agent(next(trained_once.glob("demo/*/seed0")))
 
 
+def test_an_agent_is_loaded_on_a_device_that_there_may_be(agent):
+    for device in ("gpu", "cpu:0", ""):
+        with pytest.raises(zipf.UserError, match=f"^device={device}: should be auto, cpu, cuda"):
+            zipf.load_agent(agent.folder, device)
+    with pytest.raises(zipf.UserError, match="plugins: cannot import nowhere"):
+        zipf.load_agent(agent.folder, plugins="nowhere")
+
+
 def played(agent, num_envs=3, **how):
     """The actions of 12 steps, [12, N]."""
     env = zipf.make_vec("gridworld/rare", num_envs, **agent.env_options)

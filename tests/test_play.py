@@ -405,6 +405,12 @@ def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
 # Mistakes.
 
 
+def test_a_folder_is_no_recording(tmp_path):
+    (tmp_path / "x.gif").mkdir()
+    with pytest.raises(UserError, match=r"x\.gif: is a folder"):
+        play("level=gridworld/rare", "policy=random", f"record={tmp_path}/x.gif")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -418,7 +424,7 @@ def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
         ("level=gridworld/rare record=x.gif", "policy is not set"),
         ("level=gridworld/rare policy=random record=x.avi", "should end in .gif, .mp4 or .png"),
         ("level=labyrinth/uniform policy=random record=x.avi", "should end in .gif, .mp4 or .png"),
-        ("level=gridworld/rare policy=random record=no/x.gif", "No such file or directory"),
+        ("level=gridworld/rare policy=random record=no/x.gif", "there is no folder no"),
         ("level=gridworld/rare policy=random record=x.png", "policy=random: does not go with rec"),
         ("run=nowhere record=x.png episodes=2", "episodes=2: does not go with record=x.png"),
         ("level=gridworld/rare size=1280", "size=1280: should be <width>x<height> such as 1280x96"),

@@ -903,6 +903,10 @@ def test_chosen_conditions_are_shown_in_their_order(
     for option in ("conditions", "highlight"):
         told = refusal(capsys, str(tmp_path), f"{option}=impala,vmpo")
         assert "vmpo: no such condition; there are impala, " in told
+    for wrong in ({"conditions": []}, {"format": "jpg"}):
+        with pytest.raises(UserError, match=r"should be png|names none"):
+            report.report([tmp_path], tmp_path / "report", **wrong)
+    assert not (tmp_path / "report").exists()
 
 
 def test_claims_are_checked_on_request(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -129,6 +129,9 @@ def test_whole_numbers_and_the_ends_of_an_interval():
         (["agent.discount=tag(logg,interval(0,1))"], "no such tag as logg"),
         (["memory.size=tag(int,log,interval(0.5,8))"], "whole numbers should have whole ends"),
         (["agent.discount=glob(*)"], "list the values"),
+        (["seed=interval(0,3)"], "seed=interval(0,3): list the values, as in seed=a,b"),
+        (["seed=range(0,0)"], "seed=range(0,0): lists no values"),
+        (["search=random,optuna"], "search=random,optuna: should be one value"),
         (["name=x"], "two trials would use this folder"),
     ],
 )

@@ -228,6 +228,20 @@ def test_a_mistake_in_stages_is_one_clear_line(stages, told, own):
     assert len(str(error.value).splitlines()) == 1
 
 
+@pytest.mark.parametrize(
+    ("word", "told"),
+    [
+        ("seed=range(0,0)", "seed=range(0,0): lists no values"),
+        ("seed=range(0,9,0)", "seed=range(0,9,0): range() arg 3 must not be zero"),
+        ("loggers=tensorboard,wandb", "several of them: loggers=[tensorboard,wandb]"),
+    ],
+)
+def test_a_list_that_makes_no_jobs_is_one_clear_line(word, told):
+    with pytest.raises(UserError, match=re.escape(told)) as error:
+        sweeps.check(["experiment=demo", word])
+    assert len(str(error.value).splitlines()) == 1
+
+
 @pytest.mark.parametrize("name", ["best_gridworld", "best_lifting"])
 def test_the_best_agents_are_chains(name):
     jobs = sweeps.check([f"sweep={name}", "seed=5", "run_root=nowhere"]).jobs

@@ -136,6 +136,13 @@ def use_train_levels(monkeypatch, train, **options):
     monkeypatch.setitem(zipf.envs.family._FAMILIES, "gridworld", changed)
 
 
+def test_a_run_that_must_be_there_leaves_no_folder(tmp_path):
+    config = loading.load([*TINY, "resume=must", f"run_root={tmp_path}/runs"])
+    with pytest.raises(UserError, match="resume=must: there is no checkpoint"):
+        runner.train(config)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_several_levels_are_trained_on_at_once(tmp_path, monkeypatch, capsys):
     train = ("gridworld/zipf_2", "gridworld/zipf_1")
     use_train_levels(monkeypatch, train)

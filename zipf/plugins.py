@@ -39,7 +39,7 @@ def load(modules: Iterable[str]) -> None:
         for entry in entry_points(group=GROUP):
             _import(entry.value)
         _installed_are_loaded = True
-    for module in modules:
+    for module in [modules] if isinstance(modules, str) else modules:
         _import(module)
 
 
@@ -62,6 +62,8 @@ def config_folders() -> list[Path]:
 
 
 def _import(module: str) -> None:
+    if not module or module.startswith(".") or module.endswith(".py") or "/" in module:
+        raise ImportError(f"{module!r}: should be a module's name: my_module, not ./my_module.py")
     try:
         importlib.import_module(module)
     except Exception as error:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import Field
 
 from zipf.errors import UserError, reading
-from zipf.experiments.records.wording import PlotFormat, VideoFormat
+from zipf.experiments.records.wording import PLOT_FORMATS, PlotFormat, VideoFormat
 from zipf.lazy import callable_as
 from zipf.options import Options
 from zipf.output import console, is_quiet, run_command
@@ -189,8 +189,8 @@ def report(
         show: also print the tables, and which files were written.
 
     Raises:
-        UserError: no run there, a damaged file, an unknown window or condition, a page whose name
-            does not end in .html, or a file cannot be read or written.
+        UserError: no run there, a damaged file, an unknown window, condition or format, a page
+            whose name does not end in .html, or a file cannot be read or written.
     """
     from zipf.experiments.records import results
     from zipf.experiments.reporting import draw_matplotlib, latex, markdown, tables, terminal
@@ -200,7 +200,7 @@ def report(
     from zipf.experiments.reporting.seed_statistics import csv_statistics, seed_statistics
     from zipf.experiments.reporting.side_by_side import side_by_side
 
-    chosen = _checked(window, html)
+    chosen = _checked(window, html, format)
     folders = [folders] if isinstance(folders, str | Path) else folders
     target = None if output is None else Path(output).expanduser()
     record = None if record is None else Path(record).expanduser()
@@ -292,13 +292,15 @@ def _pages(folders: Sequence[str | Path], written: Collection[Path]) -> list[str
     return texts
 
 
-def _checked(window: str | None, html: str | Path | None) -> Asked | None:
-    """The window that is asked for. Raises `UserError` for one that there is not, or a page whose
-    name does not end in .html."""
+def _checked(window: str | None, html: str | Path | None, format: str) -> Asked | None:
+    """The window that is asked for. Raises `UserError` for one that there is not, a page whose name
+    does not end in .html, or another format."""
     from zipf.experiments.reporting.windows import parse_window
 
     if html and Path(html).suffix != ".html":
         raise UserError(f"html={html}: should be true, or a name that ends in .html")
+    if format not in PLOT_FORMATS:
+        raise UserError(f"format={format}: should be {' or '.join(PLOT_FORMATS)}")
     return parse_window(window) if window is not None else None
 
 
@@ -368,7 +370,7 @@ def _report(words: list[str]) -> None:
     if options.videos:
         from zipf.experiments.playing.videos import record_videos
 
-        _checked(options.window, html)
+        _checked(options.window, html, options.format)
         say = (lambda line: None) if is_quiet() else print
         record_videos(folders, options.videos, module_names(options.plugins), say)
         html = html or ""

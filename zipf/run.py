@@ -34,6 +34,7 @@ class Run:
         from zipf.experiments.building import run_folder  # imports PyTorch
         from zipf.experiments.options import composing
 
+        plugins = [plugins] if isinstance(plugins, str) else plugins
         composing.load_plugins(plugins)
         self.folder = Path(folder).expanduser()
         self.config: Config = run_folder.read_config(self.folder, plugins)

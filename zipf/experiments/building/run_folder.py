@@ -34,9 +34,8 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
     Raises UserError: there is none and `must`; there is one and `never`; it is damaged or was made
     with other options."""
     path = config.folder / "checkpoint.pt"
+    check_resumed(config)
     if not path.exists():
-        if config.resume == "must":
-            raise UserError(f"resume=must: there is no checkpoint {path}")
         for name in ("metrics.csv", "evaluations.csv"):
             last = last_update(config.folder / name)
             if last not in (None, "0"):
@@ -60,6 +59,13 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
     if update == config.updates and ends_at(config.folder / "evaluations.csv", update):
         saved["evaluated"] = update  # the evaluation that ends a run comes after its checkpoint
     return saved
+
+
+def check_resumed(config: Config) -> None:
+    """Raises `UserError` where there is no checkpoint and there should be one."""
+    path = config.folder / "checkpoint.pt"
+    if config.resume == "must" and not path.exists():
+        raise UserError(f"resume=must: there is no checkpoint {path}")
 
 
 def is_finished(config: Config) -> bool:

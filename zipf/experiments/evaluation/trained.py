@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -22,7 +23,13 @@ from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.evaluation.evaluator import Result, Watch, evaluate, unwatched
 from zipf.experiments.evaluation.scripted import ScriptedPolicy
 from zipf.experiments.options import composing
-from zipf.experiments.options.schema import Config, EvaluateOptions, has_bfloat16, module_names
+from zipf.experiments.options.schema import (
+    DEVICE_PATTERN,
+    Config,
+    EvaluateOptions,
+    has_bfloat16,
+    module_names,
+)
 
 
 class TrainedAgent:
@@ -186,10 +193,13 @@ def load_agent(
 
     Raises:
         UserError: the folder holds no run or neither file, or the file is damaged or was made with
-            other options.
+            other options; or there is no such device.
 
     Warns by the logger `zipf` of a run that was trained on other images.
     """
+    if not re.fullmatch(DEVICE_PATTERN, device):
+        raise UserError(f"device={device}: should be auto, cpu, cuda or cuda:<number>")
+    plugins = [plugins] if isinstance(plugins, str) else plugins
     composing.load_plugins(plugins)
     folder = Path(folder).expanduser()
     config = run_folder.read_config(folder, plugins).model_copy(update={"device": device})
@@ -212,7 +222,8 @@ def load_agent(
         else:
             assert isinstance(agent, Learner)  # others have no such file
             agent.load_weights(saved["weights"])
-        return TrainedAgent(folder, config, agent, saved["update"], seed)
+        update = saved["update"]
+    return TrainedAgent(folder, config, agent, update, seed)
 
 
 def evaluate_agent(

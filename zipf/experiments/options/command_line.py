@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import json
+import re
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path, PurePath
@@ -265,7 +266,10 @@ def has_instruction(environment: dict[str, Any]) -> bool:
 
 
 def _plugins(overrides: list[Override]) -> list[str]:
-    found = [one.value() for one in overrides if one.key_or_group == "plugins"]
+    own = [one for one in overrides if one.key_or_group == "plugins"]
+    if own and own[-1].is_sweep_override():
+        raise UserError(f"{own[-1].input_line}: should be a list: plugins=[my_module,another]")
+    found = [one.value() for one in own]
     names = found[-1] if found else []
     names = [names] if isinstance(names, str) else names
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
@@ -348,11 +352,14 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
     if not any(text.startswith("experiment=") for text in known):
         hints = _misspelt([override.key_or_group for override in options])
         problems += [f"{key}: no such option; did you mean {hint}?" for key, hint in hints.items()]
-        asked = {override.key_or_group for override in overrides} | {*hints.values()}
-        if not asked & {"experiment", "sweep"}:
+        keys = {override.key_or_group for override in overrides}
+        if "sweep" in keys:
+            problems.append("sweep: is of many runs: python -m zipf.train -m sweep=<name>")
+        if not {*keys, *hints.values()} & {"experiment", "sweep"}:
             experiments = "|".join(choices("experiment"))
             problems.append(f"experiment is not set; choose one: experiment={experiments}")
         return known, problems
+    problems += _unknown_sections(known)
     values = composed(*known).values
     accepted = list(flatten(values))
     parents = {name.rsplit(".", 1)[0] for name in accepted if "." in name}
@@ -379,6 +386,17 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
                 hint = nearest(key, [*accepted, "sweep", "search"])
             problems.append(f"{key}: no such option; {hint}")
     return known, problems
+
+
+def _unknown_sections(known: list[str]) -> Iterator[str]:
+    """Values that the experiment or the condition has for a choice that there is not."""
+    for override in parse(known):
+        if (of := override.key_or_group) in ("experiment", "condition"):
+            sections = config_files.sections(of, str(override.value()))
+            for (group, choice), place in sections.items():
+                if choice not in choices(group):
+                    hint = nearest(choice, choices(group))
+                    yield f"{place}: {group}: there is no {choice}; {hint}"
 
 
 def _not_chosen(option: str, values: dict[str, Any]) -> str:
@@ -456,8 +474,12 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
             kind = problem.get("ctx", {}).get("pattern", problem["type"])
             message = _IN_WORDS.get(kind, problem["msg"])
             message = message.removeprefix("Input ").removeprefix("Value error, ")
-            shown = str(problem["input"])
-            shown = repr(shown) if len(shown.splitlines()) > 1 else shown
+            given = problem["input"]
+            shown = str(given)
+            if isinstance(given, str) and re.fullmatch(r"[-+]?\d[\d.e+-]*", given):
+                shown, message = repr(given), f"is text; {message}, without quotes"
+            elif len(shown.splitlines()) > 1:
+                shown = repr(shown)
             yield f"{name}={shown:.200}: {message}"
 
 

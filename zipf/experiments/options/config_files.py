@@ -7,6 +7,7 @@ folder for each group: so `nodes` makes of ours what Hydra would find in such fo
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 import zipf
 from zipf import plugins
 from zipf.errors import UserError
-from zipf.experiments.options.written import Written, blocks, read
+from zipf.experiments.options.written import Place, Written, blocks, read
 
 _PACKAGE = Path(zipf.__file__).parent
 # In the wheel `configs/` lies inside the package; in a checkout it lies beside it.
@@ -143,8 +144,11 @@ def _part(group: str, name: str, written: Written) -> Written:
 
 
 def _misplaced(folder: Path) -> Iterator[str]:
-    """A line for each file that is laid out as Hydra's are: what it should be."""
+    """A line for each file that is laid out as Hydra's are, or named almost as one that is read:
+    what it should be."""
     experiments = folder / "experiments"
+    if folder != CONFIG_DIR:
+        yield from _misnamed(folder)
     for group in sorted(groups() | {"sweep", "search"}):
         for path in sorted((folder / group).glob("*.yaml")):
             if group == "experiment":
@@ -154,6 +158,18 @@ def _misplaced(folder: Path) -> Iterator[str]:
     for path in sorted(folder.glob("values/*/*.yaml")):
         file = experiments / f"{path.parent.name}.yaml"
         yield f"{path}: should be the block '{path.stem}' of 'agent' or 'memory' in {file}"
+
+
+def _misnamed(folder: Path) -> Iterator[str]:
+    if (path := folder / "train.yaml").is_file():
+        yield f"{path}: is read from zipf's own folder alone; should be a file of experiments/"
+    for path in sorted(folder.glob("experiments/*.yml")):
+        yield f"{path}: should be {path.with_suffix('.yaml').name}"
+    names = sorted({*groups(), "sweep", "search"} - {"experiment"})
+    for path in sorted([*folder.glob("*.yaml"), *folder.glob("*.yml")]):
+        close = difflib.get_close_matches(path.stem, names, n=1, cutoff=0.8)
+        if close and path.name != f"{close[0]}.yaml":
+            yield f"{path}: should be {close[0]}.yaml"
 
 
 def nodes() -> dict[str, Node]:
@@ -265,6 +281,19 @@ def _overrides(choose: dict[str, str]) -> list[dict[str, str]]:
     return [{f"override /{group}": choice} for group, choice in choose.items()]
 
 
+def sections(of: str, name: str) -> dict[tuple[str, str], Place]:
+    """The choices that an experiment or a condition has values for, and where it has them, also in
+    what it is like."""
+    known = _all(of)
+    found: dict[tuple[str, str], Place] = {}
+    like: str | None = name
+    while like in known:
+        values, own = _without_sections(known[like])
+        found |= {choice: part.place for choice, part in own.items()}
+        like = values.get("like")
+    return found
+
+
 def _sections_of(name: str | None, known: dict[str, Written]) -> list[tuple[str, str]]:
     """The choices that an experiment, or one that it is like, has values for."""
     found: dict[tuple[str, str], None] = {}
@@ -311,6 +340,8 @@ def _without_sections(written: Written) -> tuple[dict[str, Any], dict[tuple[str,
 
 
 _CHOOSING = {
+    "experiment": "is the name of the file that has it",
+    "condition": "is chosen on the command line, or in a sweep",
     "defaults": "are Hydra's; 'choose: {memory: mlp}' and 'like: demo' take their place",
     "choose": "should be names of choices, such as 'choose: {memory: mlp}'",
     "like": "should be the name of an experiment, such as 'like: demo'",

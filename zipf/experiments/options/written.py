@@ -47,7 +47,7 @@ class Written:
     def part(self, option: str) -> Written:
         """What is written below an option."""
         values = self.values
-        for name in option.split("."):
+        for name in [option] if option in values else option.split("."):  # a block's may have dots
             values = values[name]
         below = f"{option}."
         places = {
@@ -80,6 +80,8 @@ def blocks(file: Path) -> dict[str, Written]:
         )
     found = {}
     for name in whole.values:
+        if not isinstance(name, str):
+            raise UserError(f"{file}: {name!r} is no name of a block; quote it, or choose another")
         block = whole.part(name)
         found[name] = replace(block, place=replace(block.place, comment=above[name]))
     return found
@@ -102,8 +104,9 @@ def _read(file: Path, _: int) -> tuple[Written, dict[str, str]]:
         raise UserError(f"{file}: is not a configuration: {' '.join(str(error).split())}") from None
     except UnicodeDecodeError:
         raise UserError(f"{file}: is not UTF-8 text") from None
+    blocks = whole.values if isinstance(whole.values, dict) else ()
     return whole, {
-        name: lines.above(place.line - 1) for name, place in places.items() if "." not in name
+        name: lines.above(places[name].line - 1) for name in blocks if isinstance(name, str)
     }
 
 
@@ -172,16 +175,22 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Any:
         keys: set[Any] = set()
         for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode) or key.tag.endswith(":null"):
+                raise _wrong(node, "found a key that is no name", key.start_mark)
             if key.value in keys:
-                raise yaml.constructor.ConstructorError(
-                    "while constructing a mapping",
-                    node.start_mark,
-                    f"found duplicate key {key.value}",
-                    key.start_mark,
-                )
+                raise _wrong(node, f"found duplicate key {key.value}", key.start_mark)
             keys.add(key.value)
         return super().construct_mapping(node, deep=deep)
 
+
+def _wrong(node: yaml.MappingNode, problem: str, place: yaml.Mark) -> yaml.YAMLError:
+    return yaml.constructor.ConstructorError(
+        "while constructing a mapping", node.start_mark, problem, place
+    )
+
+
+for _tag in ("set", "omap", "pairs", "binary"):  # of which no option is
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", yaml.SafeLoader.construct_undefined)
 
 _Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in found if not tag.endswith(":timestamp")]

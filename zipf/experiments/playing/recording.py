@@ -127,6 +127,10 @@ def check_recording(path: Path) -> None:
     """Raises UserError for a recording that cannot be made, whatever it shows."""
     if path.suffix.lower() not in ENDINGS:
         raise UserError(f"record={path}: should end in {', '.join(ENDINGS[:-1])} or {STILL}")
+    if path.is_dir():
+        raise UserError(f"record={path}: is a folder; should be a file in one")
+    if not path.expanduser().parent.is_dir():
+        raise UserError(f"record={path}: there is no folder {path.parent}")
     if path.suffix.lower() == ".mp4":
         _check_video_library()
 

@@ -145,7 +145,9 @@ def names_of(run: Run) -> tuple[str, str]:
 def chosen_runs(runs: Sequence[Run], names: Sequence[str]) -> tuple[list[Run], list[str]]:
     """The runs of these conditions, and the conditions in the order of `names`: names or titles of
     conditions, in which * stands for anything.
-    Raises UserError: a name is of no condition of these runs."""
+    Raises UserError: a name is of no condition of these runs, or there is none."""
+    if not names:
+        raise UserError("conditions: names none; leave it out for all")
     found: list[str] = []
     for name in names:
         asked = re.compile(".*".join(re.escape(part) for part in name.lower().split("*")))

@@ -334,6 +334,9 @@ def _options(own: Sequence[Override]) -> tuple[str, RandomSearch]:
     if not names:
         searches = " or ".join(f"search={name}" for name in _KINDS)
         raise UserError(f"{own[0].input_line}: choose the search, too: {searches}")
+    for one in own:
+        if one.is_sweep_override():
+            raise UserError(f"{one.input_line}: should be one value; a search is not swept over")
     name = names[-1]
     if name not in _KINDS or (written := config_files.find("search", name)) is None:
         hint = command_line.nearest(name, list(_KINDS))

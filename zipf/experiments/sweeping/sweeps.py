@@ -358,6 +358,11 @@ def _combinations(overrides: list[str]) -> Iterator[list[str]]:
     for override in command_line.parse(overrides):
         if override.is_sweep_override():
             prefix = override.get_key_element()
+            if prefix in config_files.several():
+                listed = ",".join(values_of(override))
+                raise UserError(
+                    f"{override.input_line}: a run may have several of them: {prefix}=[{listed}]"
+                )
             alternatives.append([f"{prefix}={value}" for value in values_of(override)])
         else:
             alternatives.append([str(override.input_line)])
@@ -368,16 +373,24 @@ def _combinations(overrides: list[str]) -> Iterator[list[str]]:
 
 
 def values_of(override: Override) -> list[str]:
-    """The values that an override lists, one after another, as they would be on a command line."""
+    """The values that an override lists, one after another, as they would be on a command line.
+
+    Raises:
+        UserError: it lists none, or is an interval or a pattern.
+    """
     if not override.is_sweep_override():
         return [str(override.value())]
+    prefix, text = override.get_key_element(), override.input_line
     try:
-        return list(itertools.islice(override.sweep_string_iterator(), MOST_JOBS + 1))
+        values = list(itertools.islice(override.sweep_string_iterator(), MOST_JOBS + 1))
     except HydraException:  # glob, and intervals of a sweeper that draws from them
-        prefix, text = override.get_key_element(), override.input_line
-        raise UserError(
-            f"{text}: list the values, as in {prefix}=a,b, or draw them with search=random"
-        ) from None
+        draw = "" if prefix == "seed" else ", or draw them with search=random"
+        raise UserError(f"{text}: list the values, as in {prefix}=a,b{draw}") from None
+    except ValueError as error:  # a range whose step is 0
+        raise UserError(f"{text}: {error}") from None
+    if not values:
+        raise UserError(f"{text}: lists no values")
+    return values
 
 
 def _as_list(value: str | list[str]) -> list[str]:

@@ -80,6 +80,7 @@ def train(
         _choose_kernels(config)
         learner = stack.enter_context(runtime.learner())
         if learner.is_first:
+            run_folder.check_resumed(config)  # before a folder is made
             stack.enter_context(run_folder.lock(config.folder))
         run = Run(config, runtime, learner, sys.argv[1:] if words is None else words)
         if run.is_finished:
