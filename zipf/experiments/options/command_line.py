@@ -476,11 +476,16 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
             message = message.removeprefix("Input ").removeprefix("Value error, ")
             given = problem["input"]
             shown = str(given)
-            if isinstance(given, str) and re.fullmatch(r"[-+]?\d[\d.e+-]*", given):
+            if problem["type"] in ("int_type", "float_type") and _is_number(given):
                 shown, message = repr(given), f"is text; {message}, without quotes"
             elif len(shown.splitlines()) > 1:
                 shown = repr(shown)
             yield f"{name}={shown:.200}: {message}"
+
+
+def _is_number(given: Any) -> bool:
+    """Whether this is text that a number is in."""
+    return isinstance(given, str) and bool(re.fullmatch(r"[-+]?\d[\d.e+-]*", given))
 
 
 def _experiments_own(option: str, values: dict[str, Any]) -> str:
