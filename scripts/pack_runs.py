@@ -21,6 +21,7 @@ import hashlib
 import json
 import os
 import re
+import signal
 import sys
 import tarfile
 import tempfile
@@ -33,6 +34,7 @@ FORMAT = "zipf runs 1"
 INDEX = "index.json"
 UNITS = {"": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
 SMALLEST = 1024  # bytes of a part; ours: their list stays much smaller than they are
+UNPACKING = ".unpacking-"
 BLOCK = 2**20  # bytes that are copied at a time
 
 
@@ -110,8 +112,8 @@ def pack(runs: Path, packed: Path, size: int, *, without_replay: bool = False) -
         raise PackingError(f"{packed}: is not empty; choose another folder")
     folders = run_folders(runs)
     with ExitStack() as stack:
-        for path in sorted(runs.rglob("lock")):
-            hold(path, stack)
+        for folder in folders:
+            hold(folder / "lock", stack)
         packed.mkdir(parents=True, exist_ok=True)
         temporary = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=packed)))
         parts = Parts(packed, size)
@@ -145,14 +147,24 @@ def run_folders(runs: Path) -> list[Path]:
     if not runs.is_dir():
         raise PackingError(f"{runs}: is no folder")
     for path in runs.rglob("*"):
-        if path.is_symlink() and path.is_dir():
+        if path.is_symlink() and path.is_dir() and not is_of_wandb(path, runs):
             raise PackingError(f"{path}: is a link; put the folder itself there")
-    found = {path.parent for name in ("run.json", "checkpoint.pt") for path in runs.rglob(name)}
+    found = {
+        path.parent
+        for name in ("run.json", "checkpoint.pt")
+        for path in runs.rglob(name)
+        if not path.relative_to(runs).parts[0].startswith(UNPACKING)  # left by one that was killed
+    }
     if runs in found:
         raise PackingError(f"{runs}: is itself a run; give the folder of runs that it is in")
     if not found:
         raise PackingError(f"{runs}: holds no runs")
     return sorted(found)
+
+
+def is_of_wandb(path: Path, folder: Path) -> bool:
+    """Whether Weights & Biases has written it, with links to its latest run and to its cache."""
+    return "wandb" in path.relative_to(folder).parts
 
 
 def hold(path: Path, stack: ExitStack) -> None:
@@ -168,6 +180,8 @@ def files_of(folder: Path) -> Iterator[Path]:
     """All files of a run but its lock and what was not written to its end, sorted."""
     for path in sorted(folder.rglob("*")):
         if path.is_symlink():
+            if is_of_wandb(path, folder):
+                continue
             raise PackingError(f"{path}: is a link; put the file itself there")
         if path.is_file() and path != folder / "lock" and path.suffix != ".new":
             yield path
@@ -202,7 +216,7 @@ def unpack(packed: Path, runs: Path) -> str:
     for path, known in zip(parts, index["parts"], strict=True):
         check(path, known)
     runs.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".unpacking-", dir=runs) as temporary:
+    with tempfile.TemporaryDirectory(prefix=UNPACKING, dir=runs) as temporary:
         root = Path(temporary)
         try:
             with tarfile.open(fileobj=Joined(parts), mode="r|", bufsize=BLOCK) as archive:
@@ -293,6 +307,7 @@ def main() -> None:
     unpacking.add_argument("packed", type=Path, help="folder of the parts")
     unpacking.add_argument("runs", type=Path, help="folder for the runs")
     given = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # and clean up
     try:
         if given.command == "pack":
             bound, left_out = size(given.part), given.without_replay
@@ -303,7 +318,8 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:
-        print(f"error: {error.filename or given.packed}: {error.strerror}", file=sys.stderr)
+        where = error.filename or given.packed
+        print(f"error: {where}: {error.strerror or error}", file=sys.stderr)
         sys.exit(2)
 
 

@@ -120,3 +120,5 @@ def test_wrong_actions_and_levels_are_refused():
         env.step(0.5)
     with pytest.raises(ValueError, match="unknown level 'zipf'"):
         zipfs_gridworld.simple_builder("zipf")
+    with pytest.raises(ValueError, match="observation=tiles has no images"):
+        zipfs_gridworld.simple_builder("zipf_2", {"observation": "tiles"})

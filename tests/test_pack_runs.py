@@ -11,6 +11,7 @@ import pack_runs
 import pytest
 from conftest import TINY, assert_equal, contents, learned
 
+from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, loading, run_folder
 from zipf.experiments.options.schema import Config
 from zipf.experiments.training import runner
@@ -136,6 +137,38 @@ def test_a_link_to_runs_is_refused(runs, tmp_path):
     (runs / "demo" / "elsewhere").symlink_to(runs / "demo" / "impala")
     with pytest.raises(pack_runs.PackingError, match="elsewhere: is a link; put the folder itself"):
         pack_runs.pack(runs, tmp_path / "packed", 8192)
+
+
+def test_the_links_of_weights_and_biases_are_left_behind(runs, tmp_path):
+    folder = runs / "demo" / "impala" / "seed1" / "wandb"
+    (folder / "run-1" / "logs").mkdir(parents=True)
+    (folder / "run-1" / "run.wandb").write_bytes(b"log")
+    (folder / "latest-run").symlink_to("run-1")
+    (folder / "run-1" / "logs" / "debug-core.log").symlink_to(tmp_path / "gone")
+    pack_runs.pack(runs, tmp_path / "packed", 2**20)
+    pack_runs.unpack(tmp_path / "packed", tmp_path / "there")
+    kept = [name for name in files(tmp_path / "there") if "wandb" in name]
+    assert kept == ["demo/impala/seed1/wandb/run-1/run.wandb"]
+    assert pack_runs.unpack(tmp_path / "packed", runs).startswith("0 runs unpacked, 2 were there")
+
+
+def test_what_a_killed_unpacking_left_is_no_run(runs, tmp_path):
+    shutil.copytree(runs / "demo", runs / ".unpacking-abc" / "demo")
+    assert pack_runs.pack(runs, tmp_path / "packed", 2**20).startswith("2 runs, ")
+
+
+def test_no_run_can_be_trained_while_it_is_packed(runs, tmp_path, monkeypatch):
+    """Neither one that was unpacked, which has no lock yet."""
+    folder = runs / "demo" / "impala" / "seed1"
+    (folder / "lock").unlink()
+
+    def files_of(folder, before=pack_runs.files_of):
+        with pytest.raises(UserError, match="another process"), run_folder.lock(folder):
+            pass
+        return before(folder)
+
+    monkeypatch.setattr(pack_runs, "files_of", files_of)
+    pack_runs.pack(runs, tmp_path / "packed", 2**20)
 
 
 def test_what_was_not_written_to_its_end_is_left_out(runs, tmp_path):

@@ -356,8 +356,26 @@ def counting_module(kind=CountModule, out="action"):
 def test_a_tensordict_module_keeps_its_state(of_counting):
     module = counting_module()
     module.train()
+    module.frozen = nn.Dropout().eval()
     assert played(torchrl.policy(module)).equals(of_counting)
     assert module.training
+    assert not module.frozen.training
+
+
+@pytest.mark.parametrize("default", [lambda: 2, {"steps": lambda: torch.tensor([2])}, 2])
+def test_a_recurrent_state_may_begin_with_a_number_or_a_function(default):
+    module = counting_module()
+    make = module.make_tensordict_primer
+
+    def primer():
+        made = make()
+        made.default_value = default
+        return made
+
+    module.make_tensordict_primer = primer
+    policy = torchrl.policy(module)
+    policy.states = ["steps"]
+    assert policy.initial_state(3)[0].tolist() == [[2], [2], [2]]
 
 
 def test_actions_of_a_tensordict_module_may_be_one_hot(of_counting):
@@ -598,6 +616,20 @@ class NoStateOut(nn.Module):
         return [torch.zeros(num_envs, 1, dtype=torch.int64)]
 
 
+class Nested(nn.Module):
+    def forward(self, image, steps):
+        return torch.zeros(image.shape[0], 8), (steps, steps)
+
+    @torch.jit.export
+    def initial_state(self, num_envs: int) -> list[torch.Tensor]:
+        return [torch.zeros(num_envs, 1)]
+
+
+class Halves(nn.Module):
+    def forward(self, image):
+        return torch.zeros(image.shape[0], 8, dtype=torch.bfloat16)
+
+
 class Wide(nn.Module):
     def forward(self, image):
         return torch.zeros(image.shape[0], 46)
@@ -614,6 +646,7 @@ class Tiles(nn.Module):
     [
         (CountingNetwork(), "inputs steps are no observations.* method initial_state"),
         (TwoStates(), "initial_state returns 2 states, but 1 inputs .*: steps"),
+        (Nested(), "returns tuple among its outputs; should be the actions or logits and each"),
         (NoStateOut(), "returns 0 states after the actions; .* are: steps"),
         (Wide(), r"float32 of shape \(8, 46\); should be .* logits of shape \(8, 8\)"),
         (Tiles(), r"no observation among its inputs \(tiles\); the observations are image"),
@@ -623,6 +656,20 @@ def test_torchscript_files_that_do_not_fit_are_refused(module, message, tmp_path
     path = scripted_file(tmp_path / "agent.pt", module)
     with pytest.raises(ValueError, match=rf"agent\.pt: .*{message}"):
         played(torchscript.policy(path))
+
+
+@deprecated
+def test_logits_may_be_bfloat16(tmp_path):
+    played(torchscript.policy(scripted_file(tmp_path / "agent.pt", Halves())))
+
+
+@deprecated
+@pytest.mark.parametrize("options", ["{num_maps", "[5]"])
+def test_options_that_are_no_mapping_are_refused(options, tmp_path):
+    path = tmp_path / "agent.pt"
+    torch.jit.script(Wide()).save(path, _extra_files={"env_options.json": options})
+    with pytest.raises(ValueError, match=r"agent\.pt: its env_options should be a JSON object"):
+        torchscript.policy(path)
 
 
 def test_a_file_of_weights_is_no_torchscript_module(tmp_path):
@@ -695,6 +742,18 @@ def test_an_onnx_file_keeps_its_state(tmp_path, of_counting, onnx_policy):
     assert played(policy).equals(of_counting)
     with pytest.raises(ValueError, match="num_maps=5 of the policy, 20 of gridworld/zipf_2"):
         evaluate.score(policy, **PLAY)
+
+
+def test_weights_may_be_in_a_file_beside_it(tmp_path, of_counting, onnx_policy, monkeypatch):
+    onnx = pytest.importorskip("onnx")
+    model = onnx.load(onnx_file(tmp_path / "whole.onnx"))
+    for part in (one for one in model.graph.initializer if one.name in ("three", "eight")):
+        part.CopyFrom(onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(part), part.name))
+    (tmp_path / "there").mkdir()
+    external = {"save_as_external_data": True, "location": "weights", "size_threshold": 0}
+    onnx.save(model, tmp_path / "there" / "agent.onnx", **external)
+    monkeypatch.chdir(tmp_path)
+    assert played(onnx_policy("there/agent.onnx")).equals(of_counting)
 
 
 @pytest.mark.parametrize(

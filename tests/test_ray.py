@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -32,6 +33,29 @@ MORE = {"r2d2": R2D2, "imitation": ["episodic=dictionary"], "impala": ["episodic
 
 def load(folder, *overrides):
     return loading.load([*OPTIONS, f"run_root={folder}", *overrides])
+
+
+def test_a_task_of_the_launcher_that_failed_says_why():
+    """Ray's message begins with where the task was, and ends with the cause."""
+    from zipf.experiments.cluster.ray_launcher import _result
+
+    class RayError(Exception): ...
+
+    class RayTaskError(RayError):
+        cause: Exception | None = ModuleNotFoundError("No module named 'mine'")
+
+    def told(error):
+        def get(_):
+            raise error
+
+        errors = SimpleNamespace(RayError=RayError, RayTaskError=RayTaskError)
+        return str(_result(SimpleNamespace(get=get, exceptions=errors), None)._return_value)
+
+    failed = RayTaskError("ray::task (pid=7)\nTraceback\nValueError: 3")
+    assert told(failed) == "ModuleNotFoundError: No module named 'mine'"
+    failed.cause = None
+    assert told(failed) == "ValueError: 3"
+    assert told(RayError("The node died.\nIt was out of memory.")) == "The node died."
 
 
 # What is refused, and how runs are named

@@ -176,7 +176,10 @@ class zipfs_gridworld:
             ValueError: there is no such level, or an option is out of range.
         """
         name = "rare" if level_name == "uniform_rare" else level_name
-        return _Gridworld(f"gridworld/{name}", seed=seed, **(level_kwargs_overrides or {}))
+        made = _Gridworld(f"gridworld/{name}", seed=seed, **(level_kwargs_overrides or {}))
+        if "image" not in made.env.observation_space.spaces:  # type: ignore[attr-defined]
+            raise ValueError("observation=tiles has no images, which this env shows; use 'image'")
+        return made
 
 
 class _Settings(NamedTuple):

@@ -23,14 +23,30 @@ property `env_options`, in TorchScript as the extra file `env_options.json`.
 
 from __future__ import annotations
 
+import json
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
+
+
+def options_from(path: Path, text: str | None) -> Mapping[str, Any] | None:
+    """The constructor options that a file says its network was trained with; None where it says
+    none. Raises ValueError: the text is no JSON object."""
+    if not text:
+        return None
+    try:
+        options = json.loads(text)
+    except ValueError:
+        options = None
+    if not isinstance(options, dict):
+        raise ValueError(f"{path}: its env_options should be a JSON object, got {text!s:.100}")
+    return options
 
 
 class NetworkPolicy(ABC):

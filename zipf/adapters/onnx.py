@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from zipf.adapters.networks import NetworkPolicy
+from zipf.adapters.networks import NetworkPolicy, options_from
 
 try:
     import onnxruntime
@@ -35,9 +34,9 @@ def policy(path: str | Path, *, deterministic: bool = False) -> NetworkPolicy:
 
 class _OnnxPolicy(NetworkPolicy):
     def __init__(self, path: Path, deterministic: bool) -> None:
-        model = path.read_bytes()
-        try:
-            self.session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+        path.open("rb").close()
+        try:  # by its path: weights may be in files beside it
+            self.session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime's exceptions have no common, public base
             line = str(error).strip().partition("\n")[0]
             raise ValueError(f"{path}: is not an ONNX model ({line})") from None
@@ -49,8 +48,7 @@ class _OnnxPolicy(NetworkPolicy):
             for one in self.session.get_inputs()
         }
         known = self.session.get_modelmeta().custom_metadata_map
-        options = known.get("env_options")
-        trained_with = json.loads(options) if options else None
+        trained_with = options_from(path, known.get("env_options"))
         super().__init__(str(path), list(self.declared), trained_with, deterministic)
 
     def for_envs(

@@ -321,11 +321,14 @@ def _unwrapped(model: BaseAlgorithm) -> tuple[VecEnv | None, list[VecEnvWrapper]
         wrappers.pop()  # `predict` does that itself
     # Models that learn off policy keep the last observation there in any case.
     normalised = getattr(model, "_last_original_obs", None) is not None
-    if normalised and not isinstance(model, OffPolicyAlgorithm) and not _normalises(wrappers):
+    off_policy = isinstance(model, OffPolicyAlgorithm)
+    if normalised and not off_policy and not _normalises(wrappers):
         raise ValueError(
             "the model was trained under VecNormalize, and it is not given its statistics: " + _LOAD
         )
-    if env is None and (has_masks or isinstance(model, OffPolicyAlgorithm)):
+    # Of a loaded model, which has not played in this env, so that it may have had another.
+    loaded = off_policy and model._last_obs is None and not _normalises(wrappers)
+    if (env is None and (has_masks or off_policy)) or (normalised and loaded):
         missing = "action_masks or wrappers" if has_masks else "wrappers such as VecNormalize"
         logging.getLogger("zipf").warning(
             f"the model is scored without {missing}, which its file does not have; if its env had "

@@ -182,13 +182,14 @@ class _ModulePolicy(NetworkPolicy):
     def run(self, inputs: dict[str, NDArray]) -> list[NDArray]:
         kind = ExplorationType.DETERMINISTIC if self.deterministic else ExplorationType.RANDOM
         given = {name: torch.from_numpy(part).to(self.device) for name, part in inputs.items()}
-        was_training = self.module.training
+        was_training = [(part, part.training) for part in self.module.modules()]
         self.module.eval()
         try:
             with torch.no_grad(), set_exploration_type(kind):
                 output = self.module(TensorDict(given, batch_size=[len(self.action)]))
         finally:
-            self.module.train(was_training)
+            for part, training in was_training:
+                part.training = training
         written = [output["action"], *(output["next", key] for key in self.states)]
         return [one.cpu().numpy() for one in written]
 
@@ -211,8 +212,12 @@ def _primers(module: TensorDictModuleBase) -> dict[str, Tensor]:
             primer: Any = part.make_tensordict_primer()
             for key, spec in primer.primers.items(True, True):
                 default = primer.default_value
-                value = default.get(key, 0.0) if isinstance(default, Mapping) else default
-                initial[key] = torch.full_like(spec.zero(), value or 0.0)
+                value = default.get(key, None) if isinstance(default, Mapping) else default
+                value = value() if callable(value) else value
+                zero = spec.zero()
+                if value is not None:
+                    zero = zero + torch.as_tensor(value, dtype=zero.dtype, device=zero.device)
+                initial[key] = zero
     return initial
 
 

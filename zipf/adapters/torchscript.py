@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from pathlib import Path
 
 import torch
 from numpy.typing import NDArray
 
-from zipf.adapters.networks import NetworkPolicy
+from zipf.adapters.networks import NetworkPolicy, options_from
 
 
 def policy(path: str | Path, *, deterministic: bool = False) -> NetworkPolicy:
@@ -38,8 +37,7 @@ class _TorchScriptPolicy(NetworkPolicy):
             raise ValueError(f"{path}: is not a TorchScript module ({line})") from None
         self.module.eval()
         _, *arguments = self.module.forward.schema.arguments  # the first is the module itself
-        options = known["env_options.json"]
-        trained_with = json.loads(options) if options else None
+        trained_with = options_from(path, known["env_options.json"])
         super().__init__(str(path), [one.name for one in arguments], trained_with, deterministic)
 
     def initial_state(self, num_envs: int) -> list[NDArray]:
@@ -64,4 +62,10 @@ class _TorchScriptPolicy(NetworkPolicy):
             outputs = self.module(**{k: torch.from_numpy(v) for k, v in inputs.items()})
         if isinstance(outputs, torch.Tensor):
             outputs = [outputs]
-        return [one.numpy() for one in outputs]
+        for one in outputs:
+            if not isinstance(one, torch.Tensor):
+                raise ValueError(
+                    f"{self.name}: returns {type(one).__name__} among its outputs; should be the "
+                    "actions or logits and each state, tensors all"
+                )
+        return [(one.float() if one.dtype == torch.bfloat16 else one).numpy() for one in outputs]

@@ -82,11 +82,15 @@ class RayLauncher(Launcher):
 def _result(ray: Any, task: Any) -> JobReturn:
     try:
         return ray.get(task)
-    except ray.exceptions.RayError as error:  # the process of a task has gone
+    except ray.exceptions.RayError as error:
         lines = str(error).strip().splitlines() or [type(error).__name__]
+        why = lines[0]  # the process of a task has gone
+        if isinstance(error, ray.exceptions.RayTaskError):  # a traceback, whose end says why
+            cause = error.cause
+            why = lines[-1] if cause is None else f"{type(cause).__name__}: {cause}"
         failed = JobReturn()
         failed.status = JobStatus.FAILED
-        failed.return_value = UserError(lines[0])
+        failed.return_value = UserError(why)
         return failed
 
 
