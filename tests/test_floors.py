@@ -129,7 +129,28 @@ def test_a_floor_is_the_higher_one_of_what_was_reasoned_and_found() -> None:
     near = envs.baseline("blind", "playroom/put/put_near_bed_tray_frequent")
     assert near is not None
     assert near.policy == "guessing expert"
-    assert near.score == pytest.approx(1, abs=0.01)  # 1/6 by reasoning
+    assert near.score == pytest.approx(1, abs=0.01)
+
+
+def test_the_floor_of_putting_near_a_support_is_not_reasoned() -> None:
+    """Where what was not asked for ends no episode, whoever cannot read may try everything."""
+    near = "playroom/put/put_near_bed_tray_frequent"
+    for options in ({"object_order": "alternate"}, {"reach": 3.0}):
+        assert envs.baseline("blind", near, **options) is None
+    failing = envs.baseline("blind", near, object_order="alternate", near_failure=True)
+    assert failing is not None
+    assert failing.score == 1 / 6
+
+
+def test_options_that_a_level_does_not_use_do_not_hide_its_scores() -> None:
+    unused = {"frequent_exponent": 2.0, "near_failure": True}
+    for name in envs.BASELINES:
+        for level in ("put/put_on_bed_tray_rare", "lift/lift_shape_zipf3"):
+            known = envs.baseline(name.name, f"playroom/{level}")
+            assert known is not None
+            assert envs.baseline(name.name, f"playroom/{level}", **unused) == known
+    frequent = "playroom/put/put_on_bed_tray_frequent"
+    assert envs.baseline("expert", frequent, frequent_exponent=2.0) is None
 
 
 @pytest.mark.parametrize(

@@ -169,6 +169,19 @@ def test_one_player_labels_all_levels_with_an_engine():
         env.step(rng.integers(int(env.single_action_space.n), size=6))
 
 
+@pytest.mark.parametrize("name", ["expert", "generalist"])
+def test_an_engine_without_envs_is_asked_for_no_action(name):
+    """Of two levels that are drawn, one may not have been yet."""
+    find, lift = "playroom/supervised/find_shape_zipf3", "playroom/lift/lift_shape_zipf3"
+    found = envs.Split("two", (find, lift), find, draw="resets")
+    env = envs.make_train(found, 3, image_size=(3, 4), max_steps=9)
+    teacher = Teacher(name, found, env)
+    env.reset(seed=0, options={"level": np.array([0, 0, 0])})
+    for _ in range(12):
+        assert teacher().shape == (3,)
+        env.step(teacher())
+
+
 def test_experts_with_plans_of_their_own_are_asked_once_a_step():
     """In the labyrinth, where all tasks are on one engine and asking again may change the plan."""
     found, options = envs.split("labyrinth_forward"), {"image_size": (3, 4), "max_steps": 9}

@@ -119,6 +119,16 @@ def test_putting(task: str, place: str, item: int, near_failure: bool) -> None:
         assert outcome(act(env, *["NOOP"] * 5)) == RUNS
 
 
+def test_another_object_of_the_same_rank_that_was_put_is_what_was_achieved() -> None:
+    env = playroom("put/put_near_bed_tray_frequent")
+    env.report_achieved()
+    items = {1: PLACES["near bed"]}
+    arrange(env, (0.2, -0.2, 0, 0), items, ("bottle", "bottle", "candle"), task="near bed")
+    env.envs.lifted[0, 1] = True
+    assert outcome(act(env, *["NOOP"] * 2)) == DONE
+    assert achieved(env.envs, 0) == (1, env.envs.task[0])
+
+
 @pytest.mark.parametrize("near_failure", [False, True])
 def test_what_did_not_end_the_episode_is_not_achieved_when_time_is_up(near_failure: bool) -> None:
     """An episode that had asked for it would have ended before."""

@@ -134,6 +134,25 @@ def test_an_actor_that_never_plays_ends_the_run(tmp_path, monkeypatch):
     assert len(begun) == 7
 
 
+def test_a_run_that_waits_for_actors_stops_with_a_checkpoint(tmp_path, monkeypatch):
+    """A signal comes while no actor answers."""
+    config = load(tmp_path, "runtime=ray", "runtime.actors=1", "updates=4")
+    monkeypatch.setattr(RayActors, "_connect", lambda self: None)
+    monkeypatch.setattr(
+        RayActors, "_begin", lambda self, actor: self._calls.update({"call": actor})
+    )
+
+    def wait(references, timeout, **_):
+        if timeout == 0:  # the first of two calls
+            os.kill(os.getpid(), signal.SIGTERM)
+        return [], references
+
+    monkeypatch.setattr("ray.wait", wait)
+    monkeypatch.setattr(RayActors, "close", lambda self: None)
+    assert runner.train(config, runtime_of(config)) == signal.SIGTERM
+    assert (config.folder / "checkpoint.pt").is_file()
+
+
 # What agents carry from an unroll to the next of the same envs
 
 

@@ -154,6 +154,15 @@ def test_slices_of_levels_are_not_levels_in_slices(workers: dict[str, int], draw
         envs.Mixture(makers, 4, draw=draw, **law)
 
 
+def test_levels_that_are_drawn_need_no_env_each() -> None:
+    levels = [f"playroom/lift/lift_shape_{name}" for name in ("zipf3", "zipf2", "uniform")]
+    law = {"draw": "resets", "exponent": 1.0, **SMALL[LIFT]}
+    one, two = (envs.make_vec(levels, 2, threads=threads, **law) for threads in (1, 2))
+    for key, part in one.reset(seed=3)[0].items():
+        assert np.array_equal(part, two.reset(seed=3)[0][key])
+    two.close()
+
+
 def test_what_cannot_be_sliced_is_refused() -> None:
     with pytest.raises(
         ValueError, match="threads=2: a GridworldVectorEnv is stepped by one thread"

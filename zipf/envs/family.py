@@ -416,6 +416,8 @@ def _rows_of(
         return make_vec(level, count, **kwargs)
     from zipf.envs.mixture import shared
 
+    if kwargs.get("draw", "worlds") != "worlds":
+        return _mixture(level, count, **kwargs)
     levels = shared(_names(level), num_envs)[rows]
     return _mixture(level, count, levels_of_envs=levels, **kwargs)
 

@@ -11,7 +11,9 @@ ahead. `search` tries to cheat on a level, with
 
 A policy is known by its text, from which `play` plays it: `actions 1*8 5` (action 1 eight times,
 then action 5, then both again), `walk 0.9 of 0 6` (the last action again with probability 0.9,
-otherwise one of these), or the name of a family's own.
+otherwise one of these), or the name of a family's own. What a walk, or a family's own, draws
+depends on how many policies and episodes are played beside it: its score repeats exactly with the
+same list alone, and otherwise within its standard error.
 """
 
 from __future__ import annotations

@@ -204,7 +204,8 @@ class Mixture(ZipfVectorEnv):
         """With `draw="resets"`, the probability of each rank, float64 [levels], summing to 1.
 
         Others may be assigned at any time, for the episodes that begin from then on; the array
-        itself is read-only. To score one level after another, give it probability 1 and reset.
+        itself is read-only. They are no part of `get_state()`. To score one level after another,
+        give it probability 1 and reset.
         """
         shown = self._probabilities.view()
         shown.flags.writeable = False

@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from zipf.envs.arguments import ImageSize, own_engine
-from zipf.envs.baselines import measured
 from zipf.envs.family import Family
 from zipf.envs.playroom.levels import LEVELS
 from zipf.envs.splits import Split
@@ -85,10 +84,10 @@ FAMILY = Family(
     make="zipf.envs.playroom.playroom_env:PlayroomEnv",
     make_vec="zipf.envs.playroom.vector:PlayroomVectorEnv",
     baselines={
-        "chance": measured("zipf.envs.playroom", "chance"),
+        "chance": "zipf.envs.playroom.baselines:chance",
         "blind": "zipf.envs.playroom.baselines:floor",
-        "generalist": measured("zipf.envs.playroom", "generalist"),
-        "expert": measured("zipf.envs.playroom", "expert"),
+        "generalist": "zipf.envs.playroom.baselines:generalist",
+        "expert": "zipf.envs.playroom.baselines:expert",
     },
     appearance=frozenset({"image_size", "looks"}),
     keys="zipf.envs.playroom.keys:KEYS",

@@ -40,7 +40,7 @@ def _put(envs: Envs, i: int) -> Achievement | None:
         if not envs.lifted[i, j] or envs.still[i, j] < STILL_STEPS:
             continue
         for k in range(2):
-            right = j == 0 and NEAR + k == task
+            right = envs.ranks[i, j] == envs.ranks[i, 0] and NEAR + k == task
             if envs.status[i, j] == ON_BED + k:
                 on_top.append((j, (NEAR if near else ON) + k))
             elif near and envs.status[i, j] == FLOOR and (right or envs.near_failure):

@@ -98,7 +98,10 @@ class Expert:
 
     def __call__(self) -> NDArray[np.int64]:
         """The next action of every env, int64 [N]."""
-        return np.array([self.act(i) for i in range(self.env.num_envs)])
+        rooms = self.env.rooms  # None of an env that is on another level of a mixture
+        return np.array(
+            [actions.NOOP if room is None else self.act(i) for i, room in enumerate(rooms)]
+        )
 
     def act(self, i: int) -> int:
         envs = self.envs

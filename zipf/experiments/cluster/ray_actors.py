@@ -56,6 +56,7 @@ from zipf.experiments.training.build_collector import build_collector
 from zipf.experiments.training.host_collector import episode_metrics
 from zipf.experiments.training.rollouts import Learned
 from zipf.experiments.training.runtime import Runtime
+from zipf.experiments.training.signals import Stopped
 
 MOST_DEATHS = 3  # ours: of an actor in a row, none of which has played an unroll
 PATIENCE = 60.0  # seconds without an unroll before the user is told; ours: starting takes less
@@ -181,15 +182,16 @@ class RayActors:
         self._discarded = self._replaced = 0
         self._connected = False
         self._tell: Callable[[str], None] = print
+        self._stopping: Callable[[], bool] = bool
 
-    def open(self, tell: Callable[[str], None]) -> None:
+    def open(self, tell: Callable[[str], None], stopping: Callable[[], bool]) -> None:
         """Connects to the cluster, or starts one, and begins the actors.
 
         Raises:
             UserError: there is no such cluster, it has too few cores, or this process belongs to
                 another.
         """
-        self._tell = tell
+        self._tell, self._stopping = tell, stopping
         try:
             self._connect()
             for actor in self.actors:
@@ -373,7 +375,8 @@ class RayActors:
                 raise
 
     def _wait(self) -> Any:
-        """The reference of the oldest call that has returned."""
+        """The reference of the oldest call that has returned. Raises Stopped: there is none, and
+        the run has to stop."""
         import ray
 
         said = time.monotonic()
@@ -385,6 +388,8 @@ class RayActors:
             if done:
                 found = set(done)
                 return next(one for one in references if one in found)
+            if self._stopping():
+                raise Stopped
             if time.monotonic() - said > PATIENCE:
                 said = time.monotonic()
                 begun = sum(actor.begun for actor in self.actors)

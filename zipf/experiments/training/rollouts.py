@@ -47,8 +47,9 @@ class RolloutWorker(Protocol):
     def visits(self) -> Visits:
         """How often each situation was met."""
 
-    def open(self, tell: Callable[[str], None]) -> None:
-        """Begins; called once before the first step. `tell` shows a line to the user.
+    def open(self, tell: Callable[[str], None], stopping: Callable[[], bool]) -> None:
+        """Begins; called once before the first step. `tell` shows a line to the user, `stopping`
+        says whether the run has to stop: then who waits for others in `step` raises `Stopped`.
 
         Raises:
             UserError: it cannot begin. Nothing is left to be closed.
@@ -117,7 +118,7 @@ class SynchronousRollouts:
         """The collector's."""
         return self.collector.visits
 
-    def open(self, tell: Callable[[str], None]) -> None:
+    def open(self, tell: Callable[[str], None], stopping: Callable[[], bool]) -> None:
         """There is nothing to begin."""
 
     def step(self, learn: Callable[[Unroll], Learned]) -> tuple[Unroll, Learned]:
@@ -186,7 +187,7 @@ class BackgroundRollouts(SynchronousRollouts):
         if collector.device.startswith("cuda"):
             self._stream = torch.cuda.Stream(collector.device)
 
-    def open(self, tell: Callable[[str], None]) -> None:
+    def open(self, tell: Callable[[str], None], stopping: Callable[[], bool]) -> None:
         """From now on threads take turns as often as `SWITCH_SECONDS` says."""
         sys.setswitchinterval(SWITCH_SECONDS)
 

@@ -96,7 +96,10 @@ def train(
                     run.save()
                 over = int(bool(run.outputs.reason))
                 while run.update < config.updates and not run.may_stop(stop.requested or over):
-                    unroll, metrics = run.step()
+                    try:
+                        unroll, metrics = run.step()
+                    except Stopped:  # while it waited for actors
+                        break
                     run.outputs.display.advance(run.update)
                     if run.update % schedule.log_every == 0:
                         run.log(unroll, metrics)
@@ -274,7 +277,7 @@ class Run:
             tell(pretrained.message(self._pretrained))
         for note in self._notes:
             tell(note)
-        self.rollouts.open(tell)
+        self.rollouts.open(tell, lambda: bool(self.stop.requested))
         self.outputs.start(
             Start(
                 self.folder,
