@@ -55,7 +55,7 @@ def test_a_task_of_the_launcher_that_failed_says_why():
     assert told(failed) == "ModuleNotFoundError: No module named 'mine'"
     failed.cause = None
     assert told(failed) == "ValueError: 3"
-    assert told(RayError("The node died.\nIt was out of memory.")) == "The node died."
+    assert told(RayError("The node died.\nIts disk was full.")) == "The node died."
 
 
 # What is refused, and how runs are named
