@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,7 @@ def folders() -> list[Path]:
     return [*own, *plugins.config_folders(), CONFIG_DIR]
 
 
+@cache
 def usual() -> Written:
     """The choice in each group where nothing else chooses."""
     return read(CONFIG_DIR / "train.yaml").part("choose")
