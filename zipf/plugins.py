@@ -39,7 +39,7 @@ def load(modules: Iterable[str]) -> None:
         for entry in entry_points(group=GROUP):
             _import(entry.value)
         _installed_are_loaded = True
-    for module in [modules] if isinstance(modules, str) else modules:
+    for module in modules:
         _import(module)
 
 

@@ -212,7 +212,7 @@ def _primers(module: TensorDictModuleBase) -> dict[str, Tensor]:
             primer: Any = part.make_tensordict_primer()
             for key, spec in primer.primers.items(True, True):
                 default = primer.default_value
-                value = default.get(key, None) if isinstance(default, Mapping) else default
+                value = default.get(key) if isinstance(default, Mapping) else default
                 value = value() if callable(value) else value
                 zero = spec.zero()
                 if value is not None:

@@ -392,7 +392,7 @@ def _unknown_sections(known: list[str]) -> Iterator[str]:
     """Values that the experiment or the condition has for a choice that there is not."""
     for override in parse(known):
         if (of := override.key_or_group) in ("experiment", "condition"):
-            sections = composing.sections(of, str(override.value()))
+            sections = config_files.sections(of, str(override.value()))
             known_of = {group: choices(group) for group, _ in sections}
             for (group, choice), place in sections.items():
                 if choice not in known_of[group]:

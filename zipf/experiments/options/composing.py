@@ -30,7 +30,7 @@ from zipf import envs, plugins
 from zipf.errors import UserError
 from zipf.experiments.options import config_files
 from zipf.experiments.options.config_files import find
-from zipf.experiments.options.written import Place, Written
+from zipf.experiments.options.written import Written
 from zipf.options import Options
 from zipf.registry import registries
 
@@ -277,18 +277,6 @@ def _files() -> Files:
     folders = config_files.folders()
     files = (path for folder in folders for one in places for path in sorted(folder.glob(one)))
     return tuple((path, path.stat().st_mtime_ns) for path in files)
-
-
-def sections(of: str, name: str) -> dict[tuple[str, str], Place]:
-    """As `config_files.sections`, of files that may have been edited since."""
-    return _sections_of(tuple(config_files.folders()), _files(), of, name)
-
-
-@cache
-def _sections_of(
-    folders: tuple[Path, ...], files: Files, of: str, name: str
-) -> dict[tuple[str, str], Place]:
-    return config_files.sections(of, name)
 
 
 def _nodes() -> dict[str, config_files.Node]:

@@ -286,28 +286,21 @@ def _overrides(choose: dict[str, str]) -> list[dict[str, str]]:
 def sections(of: str, name: str) -> dict[tuple[str, str], Place]:
     """The choices that an experiment or a condition has values for, and where it has them, also in
     what it is like."""
-    known = _all(of)
+    return _sections_of(name, _all(of))
+
+
+def _sections_of(name: str | None, known: dict[str, Written]) -> dict[tuple[str, str], Place]:
     found: dict[tuple[str, str], Place] = {}
-    like: str | None = name
-    while like in known:
-        values, own = _without_sections(known[like])
-        found |= {choice: part.place for choice, part in own.items()}
-        like = values.get("like")
-    return found
-
-
-def _sections_of(name: str | None, known: dict[str, Written]) -> list[tuple[str, str]]:
-    """The choices that an experiment, or one that it is like, has values for."""
-    found: dict[tuple[str, str], None] = {}
     seen = []
     while name in known:
         if name in seen:
             raise UserError(f"{known[name].place}: like: {name} would be like itself")
         seen.append(name)
         values, sections = _without_sections(known[name])
-        found |= dict.fromkeys(sections)
+        for choice, part in sections.items():
+            found.setdefault(choice, part.place)
         name = values.get("like")
-    return list(found)
+    return found
 
 
 def _without_sections(written: Written) -> tuple[dict[str, Any], dict[tuple[str, str], Written]]:
