@@ -30,6 +30,7 @@ from zipf import envs
 from zipf.experiments.building import loading, run_folder
 from zipf.experiments.building.checkpoint import arrays, tensors
 from zipf.experiments.building.factory import build_agent
+from zipf.experiments.cluster import runtime_of
 from zipf.experiments.training.build_collector import build_collector
 from zipf.experiments.training.runner import Run
 
@@ -134,7 +135,7 @@ def trainings(experiment: str, seconds: float) -> Table:
             options = [f"experiment={experiment}", f"run_root={folder}", "device=cpu"]
             config = loading.load([*options, *runtime])
             run_folder.make(config.folder)
-            with Run(config) as run:
+            with Run(config, runtime_of(config)) as run:
                 for _ in range(3):
                     run.step()
                 run.rollouts.metrics()

@@ -1,21 +1,19 @@
-"""How fast views are drawn, on one core, beside ViZDoom where that is installed.
+"""How fast views are drawn, on one core.
 
     python scripts/benchmark_render.py
 
 Views are 96 x 72 from random places, turned anywhere and pitched up to 25 degrees either way. Times
-are CPU seconds of this process (and, for ViZDoom, of the engine it starts). All rows are measured
-in turn, several times over, and each row's median is shown.
+are CPU seconds of this process. All rows are measured in turn, several times over, and each row's
+median is shown. benchmark_peers.py has whole environments beside ViZDoom.
 """
 
 import argparse
 import os
-import tempfile
-from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from turns import OwnRow, cpu_seconds
+from turns import OwnRow
 
 from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textures
 
@@ -177,28 +175,6 @@ def row(name: str, scenes: Scenes, size: tuple[int, int] = (96, 72)) -> OwnRow:
     return OwnRow(name, ENVS, run)
 
 
-def doom(vizdoom: Any, scenario: str) -> OwnRow:
-    game = vizdoom.DoomGame()
-    game.load_config(os.path.join(vizdoom.scenarios_path, f"{scenario}.cfg"))
-    game.set_screen_resolution(vizdoom.ScreenResolution.RES_160X120)
-    game.set_screen_format(vizdoom.ScreenFormat.RGB24)
-    game.set_window_visible(False)
-    # Or the engine leaves its settings in the current folder.
-    game.set_doom_config_path(os.path.join(tempfile.gettempdir(), "_vizdoom.ini"))
-    game.init()
-    buttons = game.get_available_buttons_size()
-    actions = np.random.default_rng(0).integers(2, size=(256, buttons)).tolist()
-
-    def run(calls: int) -> None:
-        for call in range(calls):
-            if game.is_episode_finished():
-                game.new_episode()
-            game.make_action(actions[call % 256], 1)
-            game.get_state()
-
-    return OwnRow(f"ViZDoom {scenario} 160 x 120", 1, run, cpu_seconds)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--rounds", type=int, default=7)
@@ -219,26 +195,17 @@ def main() -> None:
         row("hills, pitch 0", hills(pitched=False)),
         row("maze 160 x 120", maze_sky, (160, 120)),
     ]
-    try:
-        import vizdoom
-    except ImportError:
-        print("ViZDoom is not installed, so there is no row for it (pip install vizdoom)")
-    else:
-        rows += [doom(vizdoom, name) for name in ("my_way_home", "basic")]
     for each in rows:
         each.run(1)
     for _ in range(args.rounds):
         for each in rows:
             each.measure(args.seconds)
-    speed = {each.name: each.median for each in rows}
-    engines = [name for name in speed if name.startswith("ViZDoom")]
-    table = Table("view", "frames/s", "lowest", "highest", "goal", *(f"/ {e}" for e in engines))
+    table = Table("view", "frames/s", "lowest", "highest", "goal")
     for each in rows:
-        ratios = (f"{each.median / speed[e]:.2f}" if "160" in each.name else "" for e in engines)
         table.add_row(
             each.name, f"{each.median:,.0f}", f"{min(each.speeds):,.0f}",
             f"{max(each.speeds):,.0f}",
-            f"{GOALS[each.name]:,}" if each.name in GOALS else "", *ratios,
+            f"{GOALS[each.name]:,}" if each.name in GOALS else "",
         )  # fmt: skip
     Console().print(table)
 

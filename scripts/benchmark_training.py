@@ -23,7 +23,6 @@ import os
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import turns
@@ -273,20 +272,17 @@ def measure(experiment: str, arguments: argparse.Namespace) -> list[turns.Row]:
         for row in peer.rows
         if row == ZIPF or arguments.match in row
     ]
-    pythons = {name: python_of(name, arguments.environments) for name in dict(named)}
+    common = ("--constraint", turns.ROOT / "constraints.txt", "--editable", turns.ROOT)
+    pythons = {
+        name: turns.python_of(name, (*common, *PEERS[name].packages), arguments.environments)
+        for name in dict(named)
+    }
     rows = [
         turns.Row(row, pythons[name], [__file__, "--train", name, row, experiment])
         for name, row in named
     ]
     turns.measure(experiment, rows, arguments.rounds, arguments.seconds)
     return rows
-
-
-def python_of(name: str, folder: Path) -> Path:
-    """The interpreter of a peer's virtual environment."""
-    constraints = ("--constraint", turns.ROOT / "constraints.txt")
-    packages = (*constraints, "--editable", turns.ROOT, *PEERS[name].packages)
-    return turns.python_of(name, packages, folder)
 
 
 def main() -> None:

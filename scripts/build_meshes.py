@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from meshes import furniture, labyrinth, toys_first, toys_second
+from meshes import furniture, labyrinth, toys
 from meshes.shapes import Mesh
 
 ENVS = Path(__file__).parent.parent / "zipf" / "envs"
@@ -18,7 +18,7 @@ ENVS = Path(__file__).parent.parent / "zipf" / "envs"
 
 def build() -> dict[str, Mesh]:
     """Every mesh by name: the toys from rank 1 to 50, then the furniture."""
-    makers = toys_first.TOYS | toys_second.TOYS | furniture.FURNITURE
+    makers = toys.TOYS | furniture.FURNITURE
     return {name: make() for name, make in makers.items()}
 
 

@@ -127,10 +127,12 @@ def _here(table: pd.DataFrame, task: Task) -> pd.Series:
 def known(table: pd.DataFrame, task: Task) -> list[str]:
     """The policies that the table has of a level with any options, and the best of each other level
     of the family with these: how to move about is no matter of the level."""
+    if not len(table):
+        return []
     here = (table[PLACE[:2]] == pd.Series(_key(task)[:2], PLACE[:2])).all(axis=1)
     alike = table[(table["family"] == task[0]) & (table["options"] == _key(task)[2])]
     best = alike.drop_duplicates("level")["policy"]
-    return list(dict.fromkeys([*table["policy"][here], *best])) if len(table) else []
+    return list(dict.fromkeys([*table["policy"][here], *best]))
 
 
 def best_known(table: pd.DataFrame, task: Task) -> dict[str, Any]:

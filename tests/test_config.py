@@ -244,11 +244,7 @@ MISTAKES = [
     (["experiment=demo", "resume=perhaps"], ["resume=perhaps", "must"]),
     (
         ["experiment=playroom_lift", "environment.backend=docker"],
-        ["environment.backend=docker", "released_playroom of examples/original_engines"],
-    ),
-    (
-        ["experiment=labyrinth_forward", "environment.backend=dmlab"],
-        ["environment.backend=dmlab", "dmlab of examples/original_engines"],
+        ["environment.backend=docker", "'own'"],
     ),
     (["experiment=demo", "device=gpu"], ["device=gpu"]),
     (["experiment=demo", "device=cuda:99"], ["device=cuda:99", "CUDA", "device=cpu"]),

@@ -33,7 +33,8 @@ AGENTS = [  # with each lag that they allow
 ]
 
 pytestmark = pytest.mark.filterwarnings("error:RNN module weights")  # see `frozen_copy`
-on_cuda = pytest.mark.parametrize("cuda", ["cuda"] if torch.cuda.is_available() else [])
+GPUS = ["cuda", "cuda:1"][: torch.cuda.device_count()] if torch.cuda.is_available() else []
+on_cuda = pytest.mark.parametrize("cuda", GPUS)
 
 
 def options(agent, *overrides):

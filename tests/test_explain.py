@@ -14,6 +14,7 @@ from zipf.experiments.building import run_folder
 from zipf.experiments.options import config_files, explaining
 from zipf.experiments.options.command_line import choices
 from zipf.experiments.options.schema import has_bfloat16
+from zipf.experiments.records.descriptions import read_description
 
 RULES = {
     "experiment": "command line: experiment=",
@@ -146,7 +147,8 @@ def recorded(trained, tmp_path):
 
 
 def explained(folder):
-    config, command = run_folder.read_config(folder), run_folder.last_command(folder)
+    config = run_folder.read_config(folder)
+    command = read_description(folder / "run.json").last_command
     return explaining.explain_run(config, command, folder / "config.yaml")
 
 

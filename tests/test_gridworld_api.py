@@ -87,6 +87,24 @@ def test_envs_on_numpy_arrays_are_made_and_checked_without_torch() -> None:
         ({"render_mode": "ansi"}, "render_mode must be one of"),
         ({"level": "rare", "num_maps": 4}, "num_maps must be at least 5 for level 'rare'"),
         ({"level": "rare", "num_objects": 3}, "num_objects must be at least 5.*got 3"),
+        ({"max_steps": float("nan")}, "max_steps must be a whole number, got nan"),
+        ({"max_steps": 10**20}, "max_steps must be at most"),
+        ({"max_steps": True}, "max_steps must be a whole number"),
+        ({"num_maps": 2.5}, "num_maps must be a whole number, got 2.5"),
+        ({"num_maps": 10**9}, "num_maps must be at most 10000"),
+        ({"num_maps": [3]}, "num_maps must be a whole number"),
+        ({"num_rooms": "33"}, r"num_rooms must be \(rows, columns\)"),
+        ({"num_rooms": 3}, r"num_rooms must be \(rows, columns\)"),
+        ({"num_rooms": ([3], 3)}, "num_rooms must be a whole number"),
+        ({"num_rooms": (1000, 1000)}, "maps of 1,000,000 rooms"),
+        (
+            {"num_rooms": (50, 50), "num_maps": 1},
+            r"maps of 2,500 rooms; .*num_maps \* rooms \*\* 3",
+        ),
+        ({"room_size": (10**6, 10**6)}, "cells"),
+        ({"num_objects": "20"}, "num_objects must be a whole number"),
+        ({"level": 2}, "level must be a level's name"),
+        ({"observation": ["image"]}, "observation must be"),
     ],
 )
 def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:
@@ -162,34 +180,6 @@ def test_a_state_with_an_agent_in_a_wall_is_refused() -> None:
     state["running"][:] = True
     with pytest.raises(ValueError, match="running that have not begun"):
         env.set_state(state)
-
-
-BAD_SIZES = [
-    ({"max_steps": float("nan")}, "max_steps must be a whole number, got nan"),
-    ({"max_steps": 10**20}, "max_steps must be at most"),
-    ({"max_steps": True}, "max_steps must be a whole number"),
-    ({"num_maps": 2.5}, "num_maps must be a whole number, got 2.5"),
-    ({"num_maps": 10**9}, "num_maps must be at most 10000"),
-    ({"num_maps": [3]}, "num_maps must be a whole number"),
-    ({"num_rooms": "33"}, r"num_rooms must be \(rows, columns\)"),
-    ({"num_rooms": 3}, r"num_rooms must be \(rows, columns\)"),
-    ({"num_rooms": ([3], 3)}, "num_rooms must be a whole number"),
-    ({"num_rooms": (1000, 1000)}, "maps of 1,000,000 rooms"),
-    ({"num_rooms": (50, 50), "num_maps": 1}, r"maps of 2,500 rooms; .*num_maps \* rooms \*\* 3"),
-    ({"room_size": (10**6, 10**6)}, "cells"),
-    ({"num_objects": "20"}, "num_objects must be a whole number"),
-    ({"level": 2}, "level must be a level's name"),
-    ({"observation": ["image"]}, "observation must be"),
-]
-
-
-@pytest.mark.parametrize(("options", "message"), BAD_SIZES)
-def test_arguments_of_the_wrong_kind_or_size_are_refused_at_once(
-    options: dict[str, Any], message: str
-) -> None:
-    for make in (GridworldEnv, GridworldVectorEnv):
-        with pytest.raises(ValueError, match=message):
-            make(**options)
 
 
 def test_chance_of_very_long_episodes_is_known_at_once() -> None:
@@ -284,21 +274,3 @@ def test_windows_are_closed_with_the_last(monkeypatch: pytest.MonkeyPatch) -> No
     second.step(0)
     second.close()
     assert not pygame.display.get_init()
-
-
-# Other people's wrappers.
-
-
-@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.DISABLED])
-@pytest.mark.filterwarnings("ignore")
-def test_torchrl_can_wrap_a_batch(mode: AutoresetMode) -> None:
-    torchrl = pytest.importorskip("torchrl.envs")
-    batch = zipf.envs.make_vec(
-        "gridworld/uniform", 4, autoreset_mode=mode, observation="tiles", max_steps=20
-    )
-    env = torchrl.GymWrapper(batch, categorical_action_encoding=True)
-    torchrl.check_env_specs(env)
-    rollout = env.rollout(50, break_when_any_done=False)
-    assert rollout.batch_size == (4, 50)
-    assert rollout["tiles"].shape == (4, 50, 7, 7)
-    assert rollout["next", "done"].sum() >= 4 * 2

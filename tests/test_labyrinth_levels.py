@@ -161,9 +161,9 @@ def test_kinds_of_good_and_bad_objects() -> None:
     env.reset(seed=0)
     seen = set()
     for i, episode in enumerate(env.episodes):
-        names = env._scenery.renderer and episode.good, episode.bad
-        assert [len(items) for items in names] == [10, 10]
-        shapes = [{int(env._scenery.shape[i, item]) for item in items} for items in names]
+        kinds = episode.good, episode.bad
+        assert [len(items) for items in kinds] == [10, 10]
+        shapes = [{int(env._scenery.shape[i, item]) for item in items} for items in kinds]
         assert all(len(one) == 1 for one in shapes)
         seen.add((min(shapes[0]), min(shapes[1]), int(env._scenery.scenes.wall_looks[i, 0, 0])))
     assert len(seen) == 3

@@ -222,7 +222,7 @@ def test_rows_of_a_patchwork_run_north():
     scenes = Scenes(1, flats=1, tile_cells=8)
     scenes.sky[:] = 0
     tiles = np.array([[0, 1], [2, -1]])
-    scenes.add_flat(0, (-2, -2, 2, 2), 0, 0, tiles=tiles, first_tile=3)
+    scenes.add_flat(0, (-2, -2, 2, 2), 0, 0, tiles=tiles)
     scenes.camera[0] = 0, 0, 2, math.pi / 2, -math.pi / 2  # from above, north on top
     image = view(scenes, plain((250, 0, 0), (0, 250, 0), (0, 0, 250)), 40, 40)[0]
     assert [int(image[r, c].argmax()) for r, c in ((30, 10), (30, 30), (10, 10))] == [0, 1, 2]

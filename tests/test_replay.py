@@ -10,12 +10,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from conftest import assert_equal
+from fake_cuda import DEVICE, fake_cuda, on_device
 from scipy.stats import chisquare
 from tensordict import NonTensorData, TensorDict
 from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 
 from zipf.agents import free_space, replay
-from zipf.agents.priorities import PrioritySampler, SumTree
+from zipf.agents.priorities import DeviceSampler, PrioritySampler, SumTree
 from zipf.agents.replay import Replay
 from zipf.experiments.building import checkpoint
 
@@ -42,9 +45,9 @@ def items(first, count):
     )
 
 
-def build(folder=None, capacity=10, spare=6, **changes):
+def build(folder=None, capacity=10, spare=6, item=ITEM, **changes):
     options = {"priority_exponent": 0.9, "importance_exponent": 0.6, "seed": 0} | changes
-    return Replay(ITEM, capacity=capacity, folder=folder, spare=spare, **options)
+    return Replay(item, capacity=capacity, folder=folder, spare=spare, **options)
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 7, 8, 100])
@@ -151,6 +154,65 @@ def test_draws_do_not_depend_on_the_size_of_the_ring():
             numbers.append(info["weight"].tolist())
         drawn[slots] = numbers
     assert drawn[10] == drawn[13] == drawn[40]
+
+
+@pytest.mark.parametrize("capacity", [1, 7, 64, 1000])
+def test_draws_on_a_device_are_those_on_the_host(capacity):
+    chosen = {"priority_exponent": 0.9, "importance_exponent": 0.6, "seed": 3}
+    host = PrioritySampler(capacity, capacity, **chosen)
+    device = DeviceSampler(capacity, **chosen, device=torch.device("cpu"))
+    rng = np.random.default_rng(0)
+    for step in range(100):
+        inserted = rng.integers(1, min(capacity, 32), endpoint=True)
+        slots = torch.from_numpy((host.inserted + np.arange(inserted)) % capacity)
+        host.extend(slots)
+        device.extend(slots)
+        assert len(device) == len(host)
+        drawn, info = host.sample(None, 32)
+        found, other = device.sample(None, 32)
+        assert torch.equal(found, drawn)
+        torch.testing.assert_close(other["weight"], info["weight"])
+        # Where a slot is drawn twice, both have the same priority.
+        priority = torch.from_numpy(rng.exponential(size=capacity).astype(np.float32))[drawn]
+        host.update_priority(drawn, priority)
+        device.update_priority(drawn, priority)
+        if step == 50:  # what one has saved, the other goes on with
+            host.load_state_dict(device.state_dict())
+    saved, expected = device.state_dict(), host.state_dict()
+    torch.testing.assert_close(saved.pop("leaves"), expected.pop("leaves"))
+    assert_equal(saved, expected)
+    other = DeviceSampler(capacity, **chosen | {"seed": 0}, device=torch.device("cpu"))
+    other.load_state_dict(device.state_dict())
+    assert torch.equal(other.sample(None, 32)[0], device.sample(None, 32)[0])
+
+
+class OneDevice(TorchDispatchMode):
+    """No tensor is copied from the host to the device or back."""
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        result = function(*args, **(kwargs or {}))
+        tensors = [one for one in tree_leaves((args, kwargs, result)) if torch.is_tensor(one)]
+        assert len({one.device for one in tensors}) == 1, function
+        return result
+
+
+def test_the_host_never_waits_for_a_replay_on_a_device(monkeypatch):
+    """Where there is no device, reading a number of its tensors is an error, too."""
+    monkeypatch.setattr(replay, "free_on", lambda device: 10**9)
+    with fake_cuda():
+        offsets = torch.zeros(16, dtype=torch.float64, device=DEVICE)
+        monkeypatch.setattr(DeviceSampler, "_offsets", lambda sampler, count: offsets)
+        item = on_device(ITEM)
+        kept = build(None, item=item)
+        kept.insert(item.expand(8).clone())  # makes it
+        with OneDevice():
+            kept.insert(item.expand(8).clone())
+            sample, index, weights = kept.sample(16)
+            kept.update_priorities(index, torch.ones(16, device=DEVICE))
+        assert {leaf.device for leaf in sample.values(True, True)} == {torch.device(DEVICE)}
+        assert index.device == weights.device == torch.device(DEVICE)
+        with pytest.raises(ValueError, match=r"take .* of cuda:0, and 1\.0 GB are free: .* in RAM"):
+            build(None, item=item, capacity=10**8)
 
 
 @pytest.mark.parametrize("storage", ["ram", "memmap"])
@@ -429,34 +491,3 @@ def test_free_disk_counts_what_the_folder_has_already(tmp_path, monkeypatch):
 )
 def test_sizes_as_text(size, words):
     assert free_space.in_words(size) == words
-
-
-class NothingWrittenFromElsewhere(TorchDispatchMode):
-    """Refuses to index a tensor of one device with values of another, as CUDA does."""
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        if func is torch.ops.aten.index_put_.default:
-            assert args[0].device == args[2].device
-        return func(*args, **(kwargs or {}))
-
-
-def on_meta(items):
-    """As `Sequences` makes items of a device: their parts know it."""
-    parts = {name: part.to("meta") for name, part in items.items()}
-    return TensorDict(parts, items.batch_size)
-
-
-def test_items_stay_on_their_device(monkeypatch):
-    """Slots, draws and priorities are of the host: nothing waits for the device."""
-    monkeypatch.setattr(replay, "free_on", lambda device: 1000)
-    options = {"priority_exponent": 0.9, "importance_exponent": 0.6, "seed": 0}
-    kept = Replay(on_meta(ITEM), capacity=10, folder=None, spare=0, **options)
-    with NothingWrittenFromElsewhere():
-        for k in range(3):
-            assert kept.insert(on_meta(items(6 * k, 6))).device.type == "cpu"
-    drawn, index, weights = kept.sample(4)
-    assert {drawn["steps", "image"].device.type, drawn["memory"].device.type} == {"meta"}
-    assert (index.device.type, weights.device.type) == ("cpu", "cpu")
-    kept.update_priorities(index, torch.ones(4))
-    with pytest.raises(ValueError, match=r"take .* of meta, and 1\.0 kB are free: .* in RAM"):
-        Replay(on_meta(ITEM), capacity=1000, folder=None, spare=0, **options)

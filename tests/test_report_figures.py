@@ -33,6 +33,7 @@ from run_folders import (
 
 from zipf import report
 from zipf.experiments.reporting import markdown, statistics
+from zipf.experiments.reporting.charts import rank_ticks
 from zipf.experiments.reporting.draw_matplotlib import STYLE, apart
 from zipf.experiments.reporting.panels import (
     COLOURS,
@@ -138,6 +139,15 @@ def test_one_run_without_success_is_enough(tmp_path: Path) -> None:
     assert measure_of(only_table(tmp_path)) == "success"
     write_run(tmp_path, constant(0.5), condition="r2d2", situations=RETURNS, success=False)
     assert measure_of(only_table(tmp_path)) == "return"
+
+
+@pytest.mark.parametrize(
+    ("count", "last", "step"), [(20, 20, 5), (301, 300, 100), (5000, 5000, 1000)]
+)
+def test_axes_of_many_ranks_have_round_numbers(count: int, last: int, step: int) -> None:
+    ranks, words = rank_ticks(count)
+    assert ranks == [1, *range(step, last + 1, step)]
+    assert words == [f"{rank:.0f}" for rank in ranks]
 
 
 @pytest.mark.parametrize(("normalised", "drawn"), [(1.0, True), (40.0, False)])

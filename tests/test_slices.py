@@ -13,6 +13,7 @@ from zipf import envs
 from zipf.envs.policies import Teacher
 from zipf.envs.slices import Slices
 from zipf.envs.testing import check_vector_env
+from zipf.envs.testing.steps import are_equal
 from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.training import runner
 
@@ -38,14 +39,6 @@ def played(env: envs.ZipfVectorEnv, steps: int, teacher: Teacher | None = None) 
         actions = rng.integers(int(env.single_action_space.n), size=env.num_envs)
         found.append((env.step(actions), None if teacher is None else teacher()))
     return found
-
-
-def same(one: Any, other: Any) -> bool:
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
-    if isinstance(one, list | tuple):
-        return len(one) == len(other) and all(map(same, one, other))
-    return one is other or np.array_equal(one, other)
 
 
 @pytest.mark.slow
@@ -92,15 +85,15 @@ def test_threads_and_processes_change_no_bit(name: str, workers: dict[str, int])
         states.append((env.get_state(), teacher.get_state()))
         results.append((first, found, played(env, 8, teacher)))
         env.close()
-    assert same(results[0], results[1])
-    assert same(states[0], states[1])
+    assert are_equal(results[0], results[1])
+    assert are_equal(states[0], states[1])
 
     for given, saved in ((workers, states[0]), ({}, states[1])):  # what the other has saved
         env, teacher = made(given)
         env.reset(seed=0)
         env.set_state(saved[0])
         teacher.set_state(saved[1])
-        assert same(played(env, 8, teacher), results[0][2])
+        assert are_equal(played(env, 8, teacher), results[0][2])
         env.close()
 
 
@@ -109,7 +102,7 @@ def test_envs_know_their_levels(workers: dict[str, int]) -> None:
     """Those shared among levels for good, wherever the slices are cut."""
     split = envs.split("playroom_put")
     one, several = (envs.make_train(split, 7, **given, **SMALL[LIFT]) for given in ({}, workers))
-    assert same(one.level_of_envs, several.level_of_envs)
+    assert are_equal(one.level_of_envs, several.level_of_envs)
     assert len(set(one.level_of_envs)) == 3
     several.close()
     with pytest.raises(ValueError, match="num_envs must be at least 3, an env for each"):
@@ -129,8 +122,8 @@ def test_slices_tell_what_one_batch_tells() -> None:
 
 def test_rules_in_python_take_turns() -> None:
     one, several = (envs.make_vec(MAZE, 5, threads=k, **SMALL[MAZE]) for k in (1, 3))
-    assert same(one.reset(seed=3), several.reset(seed=3))
-    assert same(played(one, 8), played(several, 8))
+    assert are_equal(one.reset(seed=3), several.reset(seed=3))
+    assert are_equal(played(one, 8), played(several, 8))
 
 
 @pytest.mark.parametrize("workers", slow_but(WORKERS, WORKERS[0]), ids=str)
@@ -140,7 +133,7 @@ def test_a_pickled_batch_goes_on(workers: dict[str, int]) -> None:
     env.reset(seed=1)
     played(env, 3)
     twin = pickle.loads(pickle.dumps(env))
-    assert same(played(twin, 8), played(env, 8))
+    assert are_equal(played(twin, 8), played(env, 8))
     env.close()
     twin.close()
 
@@ -222,4 +215,4 @@ def test_training_is_the_same_however_envs_are_stepped(
             assert runner.train(config) == 0
         weights = checkpoint.load(config.folder / "weights.pt")["weights"]
         found.append({key: value.numpy() for key, value in weights.items()})
-    assert same(found[0], found[1])
+    assert are_equal(found[0], found[1])

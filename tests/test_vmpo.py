@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tiny_gridworld
 import torch
-from conftest import random_unroll
+from conftest import assert_equal, random_unroll
 from networks import compact
 
 from zipf.agents.agent import AgentSpec
@@ -58,20 +58,6 @@ def as_acted_by(vmpo, data):
 
 def everything(vmpo):
     return copy.deepcopy(vmpo.state_dict())
-
-
-def assert_equal(one, other):
-    if isinstance(one, dict):
-        assert one.keys() == other.keys()
-        for key in one:
-            assert_equal(one[key], other[key])
-    elif isinstance(one, list | tuple):
-        for a, b in zip(one, other, strict=True):
-            assert_equal(a, b)
-    elif isinstance(one, torch.Tensor):
-        assert torch.equal(one, other)
-    else:
-        assert one == other
 
 
 def by_hand(vmpo, data):

@@ -262,6 +262,7 @@ def _explain(asked: list[str], overrides: list[str]) -> None:
     """Prints where options come from. Raises `UserError` for mistakes."""
     from zipf.experiments.building import run_folder
     from zipf.experiments.options import explaining
+    from zipf.experiments.records import results
 
     folders = [
         word
@@ -279,7 +280,7 @@ def _explain(asked: list[str], overrides: list[str]) -> None:
             )
         folder = Path(folders[0])
         config = run_folder.read_config(folder, command_line.plugins_of(overrides))
-        command = run_folder.last_command(folder)
+        command = results.read_description(folder / "run.json").last_command or ""
         origins = explaining.explain_run(config, command, folder / "config.yaml")
     else:
         if len(jobs := sweeps.check(overrides).jobs) > 1:

@@ -5,15 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import labyrinth_first, labyrinth_forms, labyrinth_props, labyrinth_second
+from . import labyrinth_forms, labyrinth_objects, labyrinth_props
 from .shapes import Mesh, Solid, assemble
 
-OBJECTS = (
-    labyrinth_first.OBJECTS
-    | labyrinth_second.OBJECTS
-    | labyrinth_forms.OBJECTS
-    | labyrinth_props.OBJECTS
-)
+OBJECTS = labyrinth_objects.OBJECTS | labyrinth_forms.OBJECTS | labyrinth_props.OBJECTS
 """The maker of each mesh, with its size along x, y and z in hundredths of a metre."""
 
 

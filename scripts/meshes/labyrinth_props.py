@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .labyrinth_first import ice_lolly, key
+from .labyrinth_objects import ice_lolly, key
 from .shapes import (
     ACCENT,
     DARK,
@@ -26,7 +26,7 @@ from .shapes import (
     torus,
     tube,
 )
-from .toys_first import both_sides
+from .toys import both_sides
 
 
 def apple() -> list[Solid]:

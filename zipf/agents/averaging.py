@@ -58,7 +58,8 @@ def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
     counts = torch.tensor(present, dtype=gradients[0].dtype, device=gradients[0].device)
     mean = average(torch.cat([*(one.flatten() for one in gradients), counts]))
     *means, counts = mean.split([*(one.numel() for one in learned), len(learned)])
-    for one, gradient, part, count in zip(learned, gradients, means, counts.tolist(), strict=True):
+    there = present if all(present) else counts.tolist()  # which waits for the device
+    for one, gradient, part, count in zip(learned, gradients, means, there, strict=True):
         if count:
             one.grad = gradient.copy_(part.view_as(one))  # keeps the order of a weight's elements
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import torch
@@ -44,7 +45,9 @@ class CapturedOptimiser:
     def step(self, refused: Tensor) -> None:
         """One step, unless `refused` is 1."""
         self.optimiser.found_inf = refused  # type: ignore[attr-defined]  # as GradScaler sets it
-        self.optimiser.step()
+        with warnings.catch_warnings():  # the first steps are made outside of the graph
+            warnings.filterwarnings("ignore", ".* without CUDA graph capture", UserWarning)
+            self.optimiser.step()
 
     def scale(self, factor: float) -> None:
         """Sets the learning rates to this factor of those that they were built with."""

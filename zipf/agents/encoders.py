@@ -97,7 +97,7 @@ class CodeEncoder(nn.Module):
 
 
 def number_of_codes(space: gym.Space) -> int:
-    """How many codes a part has that `is_codes`."""
+    """How many codes a part has that `is_codes`, or words one that `is_text`, padding included."""
     if isinstance(space, gym.spaces.Discrete):
         return int(space.n)
     if isinstance(space, gym.spaces.MultiDiscrete):
@@ -323,7 +323,7 @@ class Encoder(nn.Module):
         self.texts = texts
         self.names: list[tuple[str, ...]] = []
         self.encoders = nn.ModuleList()
-        words = [vocabulary(space[name]) for name in texts]
+        words = [number_of_codes(space[name]) for name in texts]
         for name in images:
             self._add([name], NETWORKS.build(options, space[name].shape or (), words))
         self._images = len(images)  # theirs are the first of the encoders
@@ -416,9 +416,3 @@ _NAMES = {
     VectorEncoder: "an MLP",
     InstructionEncoder: "an LSTM over words",
 }
-
-
-def vocabulary(space: gym.Space) -> int:
-    """How many words a text has to choose from, padding included."""
-    assert isinstance(space, gym.spaces.Box)
-    return int(space.high.max()) + 1

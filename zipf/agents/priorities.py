@@ -1,4 +1,4 @@
-"""Draws by priority (Schaul et al. 2016): a sum tree, and a sampler for TorchRL's buffer.
+"""Draws by priority (Schaul et al. 2016): a sum tree, and samplers for TorchRL's buffer.
 
 Importing this costs the second or so that importing TorchRL takes.
 """
@@ -125,7 +125,7 @@ class PrioritySampler(Sampler):
 
     def update_priority(self, index: Any, priority: Any, *, storage: Any = None) -> None:
         """The priorities float [N] of slots int64 [N], of items that can be drawn."""
-        priorities = np.maximum(priority.numpy().astype(np.float64), SMALLEST_PRIORITY)
+        priorities = np.maximum(priority.cpu().numpy().astype(np.float64), SMALLEST_PRIORITY)
         leaves = self._latest(index.numpy(), self.slots) % self.capacity
         self.tree.set(leaves, priorities**self.priority_exponent)
         self.max_priority = max(self.max_priority, float(priorities.max()))
@@ -164,3 +164,92 @@ class PrioritySampler(Sampler):
         """The numbers of the latest items in these places of a ring of that length."""
         last = self.inserted - 1
         return last - (last - places) % length
+
+
+class DeviceSampler(Sampler):
+    """`PrioritySampler` of a ring without spare slots, on a device for which the host never waits:
+    the same draws, up to rounding, and the same `state_dict()`."""
+
+    def __init__(
+        self,
+        capacity: int,
+        *,
+        priority_exponent: float,
+        importance_exponent: float,
+        seed: int,
+        device: torch.device,
+    ):
+        self.capacity = capacity
+        self.priority_exponent = priority_exponent
+        self.importance_exponent = importance_exponent
+        self.generator = torch.Generator().manual_seed(seed)  # of the host
+        self.device = device
+        self._empty()
+
+    def __len__(self) -> int:
+        return min(self.inserted, self.capacity)
+
+    def extend(self, index: Tensor) -> None:
+        """As `PrioritySampler.extend`."""
+        self.leaves[index] = self.max_priority**self.priority_exponent
+        self.inserted += len(index)
+
+    def sample(self, storage: Any, batch_size: int) -> tuple[Tensor, dict[str, Tensor]]:
+        """Slots int64 [N], and `weight` float32 [N]."""
+        levels = [self.leaves]
+        while len(levels[-1]) > 1:
+            levels.append(levels[-1].view(-1, 2).sum(-1))
+        total = levels.pop()  # [1]
+        parts = torch.arange(batch_size, device=self.device)
+        rest = (parts + self._offsets(batch_size)) * (total / batch_size)
+        node = torch.zeros_like(parts)
+        for level in reversed(levels):
+            left, right = level.view(-1, 2)[node].unbind(-1)
+            is_right = (rest >= left) & (right > 0)
+            rest = torch.where(is_right, rest - left, rest)
+            node = 2 * node + is_right
+        weight = (len(self) * self.leaves[node] / total) ** -self.importance_exponent
+        return node, {"weight": (weight / weight.max()).float()}
+
+    def update_priority(self, index: Any, priority: Any, *, storage: Any = None) -> None:
+        """The priorities float [N] of slots int64 [N]."""
+        priorities = priority.double().clamp(min=SMALLEST_PRIORITY)
+        self.leaves[index] = priorities**self.priority_exponent
+        self.max_priority.copy_(torch.maximum(self.max_priority, priorities.max()))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that the next draw depends on."""
+        return {
+            "inserted": self.inserted,
+            "max_priority": float(self.max_priority),
+            "leaves": self.leaves[: self.capacity].cpu().clone(),
+            "generator": self.generator.get_state(),
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Continues from `state_dict()`."""
+        self._empty()
+        self.inserted = state_dict["inserted"]
+        self.max_priority.fill_(state_dict["max_priority"])
+        self.leaves[: self.capacity] = state_dict["leaves"].to(self.device)
+        self.generator.set_state(state_dict["generator"])
+
+    def dumps(self, path: Any) -> None:
+        """Writes a file into the folder `path`."""
+        torch.save(self.state_dict(), Path(path) / "sampler.pt")
+
+    def loads(self, path: Any) -> None:
+        """Reads what `dumps` wrote."""
+        self.load_state_dict(torch.load(Path(path) / "sampler.pt"))
+
+    def _empty(self) -> None:
+        size = 1 << (self.capacity - 1).bit_length()
+        self.inserted = 0
+        self.leaves = torch.zeros(size, dtype=torch.float64, device=self.device)
+        self.max_priority = torch.ones((), dtype=torch.float64, device=self.device)
+
+    def _offsets(self, count: int) -> Tensor:
+        offsets = torch.rand(count, generator=self.generator, dtype=torch.float64)
+        if self.device.type == "cpu":
+            return offsets
+        return offsets.pin_memory().to(self.device, non_blocking=True)

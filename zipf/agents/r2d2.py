@@ -299,12 +299,17 @@ class R2D2(Learner):
         metrics: dict[str, float | Tensor] = dict.fromkeys(METRICS, float("nan"))
         if len(self.replay) >= self.options.replay_min:
             items, index, weights = self.replay.sample(self.batch_size)
-            replayed = Replayed(self._seen(items), weights.to(self.device))
-            learned, kept = self.learn(replayed)
-            self.check_finite()  # the priorities are waited for anyway
+            items = items.to(self.device) if self._sees_on_device else self._seen(items)
+            learned, kept = self.learn(Replayed(items, weights.to(self.device)))
+            if not self._keeps_on_device:
+                self.check_finite()  # the priorities are waited for anyway
             metrics |= learned
-            self.replay.update_priorities(index, kept["priorities"].cpu())
+            self.replay.update_priorities(index, kept["priorities"])
         return metrics | {"replay_sequences": len(self.replay), "replay_inserted": inserted}
+
+    def seen(self, batch: Any) -> Any:
+        """Sequences as the agent sees them, where that is a part of the captured function."""
+        return batch._replace(items=self._seen(batch.items)) if self._sees_on_device else batch
 
     def _insert(self, unroll: Unroll) -> int:
         """Puts an unroll into replay, and the relabelled episodes that come with it; returns the
@@ -332,7 +337,7 @@ class R2D2(Learner):
         if self.options.fresh_priority == "error":
             with torch.no_grad():
                 _, errors, _ = self._losses(self._seen(items))
-            self.replay.update_priorities(index, self._priorities(errors).cpu())
+            self.replay.update_priorities(index, self._priorities(errors))
 
     def _seen(self, items: TensorDict) -> TensorDict:
         """Sequences [B] as the agent sees them, where it computes."""

@@ -21,7 +21,7 @@ from torch import Tensor
 from torchrl.data import TensorDictReplayBuffer, TensorStorage
 
 from zipf.agents.free_space import free_disk, free_on, free_ram, in_words
-from zipf.agents.priorities import PrioritySampler
+from zipf.agents.priorities import DeviceSampler, PrioritySampler
 
 
 class Replay:
@@ -56,8 +56,7 @@ class Replay:
         seed: int,
     ):
         self.device = next(iter(item.values(True, True))).device
-        # Written from the host, as the `index` that TorchRL puts beside every item.
-        number = torch.zeros((), dtype=torch.int64)
+        number = torch.zeros((), dtype=torch.int64, device=self.device)
         self.item = item.clone().update({"number": number, "index": number.clone()})
         self.capacity = capacity
         self.folder = folder
@@ -88,7 +87,8 @@ class Replay:
             self._open(self.capacity + self.spare, new=True)
             assert self._buffer is not None
         first = self._buffer.sampler.inserted
-        items["number"] = torch.arange(first, first + len(items))
+        items = items.to(self.device)  # and TorchRL then makes the index of its slots there
+        items["number"] = torch.arange(first, first + len(items), device=self.device)
         slots = self._buffer.extend(items)
         if self.folder:
             for slot in slots.tolist():
@@ -163,9 +163,15 @@ class Replay:
             else:
                 self._check_files(slots)
             self._map_files(slots)
+        on_device = self.device.type != "cpu"
+        sampler = (
+            DeviceSampler(self.capacity, **self.sampling, device=self.device)
+            if on_device
+            else PrioritySampler(slots, self.capacity, **self.sampling)
+        )
         self._buffer = TensorDictReplayBuffer(
-            storage=TensorStorage(self._items),
-            sampler=PrioritySampler(slots, self.capacity, **self.sampling),
+            storage=TensorStorage(self._items, device=self.device, compilable=on_device),
+            sampler=sampler,
         )
 
     def _files(self, slots: int) -> Iterator[tuple[Path, int]]:

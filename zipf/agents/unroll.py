@@ -12,6 +12,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from zipf.agents.capture import mapped
 from zipf.agents.memory import State
 
 STEP = {
@@ -199,13 +200,8 @@ class Unroll:
 
     def clone(self) -> Unroll:
         """A copy that shares nothing."""
-        late = self.late_memory and {
-            name: value.clone() for name, value in self.late_memory.items()
-        }
-        final = None if self.final is None else self.final.clone()
-        episodes = None if self.episodes is None else self.episodes.clone()
-        memory = {name: value.clone() for name, value in self.memory.items()}
-        return Unroll(self.steps.clone(), memory, late, final, episodes)
+        copy: Unroll = mapped(self, lambda _, tensor: tensor.clone())
+        return copy
 
     def to(self, device: str) -> Unroll:
         """The same on another device."""

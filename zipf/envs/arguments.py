@@ -2,7 +2,7 @@
 
 import difflib
 import operator
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
@@ -78,22 +78,6 @@ def mapping(name: str, value: Any) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} must be a mapping, got {value!r}")
     return value
-
-
-def own_engine(family: str) -> Callable[[Any], Any]:
-    """A check of the option `backend`, which had other values than "own" before the original
-    engines became a plugin: `family` of `examples/original_engines`. It returns its argument.
-    Raises ValueError: it is not "own"."""
-
-    def check(backend: Any) -> Any:
-        if backend != "own":
-            raise ValueError(
-                f"backend must be 'own', got {backend!r}: the original engine is the family "
-                f"{family} of examples/original_engines"
-            )
-        return backend
-
-    return check
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> ValueError:

@@ -157,12 +157,6 @@ def summary(policy: str) -> str:
     return f"a sequence of {sum(steps for _, steps in _runs(policy))} actions"
 
 
-def exceeds(found: Floor, known: float, margin: float) -> bool:
-    """Whether a policy is better than a floor by more than a margin, and by more than chance: above
-    its one-sided 99.99 % interval."""
-    return found.score > known + margin and found.score - 3.719 * found.error > known
-
-
 class _Search:
     def __init__(self, arena: Arena, seconds: float, episodes: int) -> None:
         self.arena = arena

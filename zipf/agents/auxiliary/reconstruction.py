@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from zipf.agents import fixed
 from zipf.agents.auxiliary.base import AUXILIARIES, Auxiliary, AuxiliaryOptions, sample
 from zipf.agents.averaging import average
-from zipf.agents.encoders import has_image, is_text, vocabulary
+from zipf.agents.encoders import has_image, is_text, number_of_codes
 from zipf.agents.image_networks import ResidualBlock, largest_patch
 from zipf.agents.network import Inputs, Torso
 from zipf.agents.network_options import (
@@ -91,7 +91,7 @@ class Reconstruction(Auxiliary):
             self.register_buffer("mean_image", torch.zeros(shape))  # as logits
             self.register_buffer("is_first", torch.tensor(True), persistent=False)
         if not isinstance(options, VisionOptions):
-            self.instruction = InstructionDecoder(core_size, vocabulary(space["instruction"]))
+            self.instruction = InstructionDecoder(core_size, number_of_codes(space["instruction"]))
 
     def forward(self, inputs: Inputs, core: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """The weighted sum of `auxiliary_vision` and `auxiliary_language`, nats each."""

@@ -93,9 +93,6 @@ class DictionaryRecorder(Recorder):
         self.observations = sorted(observations or {})
         self._register("observation", observations or {})
 
-    def forward(self, encoder: Encoder) -> tuple[Tensor, dict[str, Tensor]]:
-        return torch.zeros((), device=self.core.device), {}
-
     @torch.no_grad()
     def record(
         self, dictionary: Dictionary | None, steps: TensorDict, core: Tensor, action: Tensor

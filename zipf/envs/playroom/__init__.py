@@ -3,9 +3,9 @@
 from dataclasses import replace
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from zipf.envs.arguments import ImageSize, own_engine
+from zipf.envs.arguments import ImageSize
 from zipf.envs.family import Family
 from zipf.envs.playroom.levels import LEVELS
 from zipf.envs.splits import Split
@@ -16,13 +16,12 @@ Steps = Annotated[int, Field(ge=1, le=1_000_000)]
 # From the eye; the floor just before the agent is 1.2 m away.
 Reach = Annotated[float, Field(ge=1.5, le=4.0, allow_inf_nan=False)]
 Exponent = Annotated[float, Field(ge=0.0, le=10.0, allow_inf_nan=False)]
-Backend = Annotated[Literal["own"], BeforeValidator(own_engine("released_playroom"))]
 
 
 class PlayroomOptions(Options):
     """Constructor options. Other values than these make other envs than the paper's."""
 
-    backend: Backend = "own"  # ours; runs of before name it: the released one is an example now
+    backend: Literal["own"] = "own"  # ours; the released one: examples/original_engines
     image_size: ImageSize = Field(default=[72, 96])  # paper: 96 x 72 pixels; here height, width
     object_order: Literal["default", "alternate"] = "default"  # ours: the paper lists no objects
     looks: Literal["plain", "varied"] = "plain"  # ours: the paper does not say that they vary

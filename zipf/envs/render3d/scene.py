@@ -203,11 +203,10 @@ class Scenes:
         repeat: float = 0.0,
         tint: ArrayLike = 255,
         tiles: NDArray[np.integer] | None = None,
-        first_tile: int = 0,
     ) -> int:
         """Adds a flat over `rectangle` (x0, y0, x1, y1) and returns its index.
 
-        `tiles` [rows, columns] makes it a patchwork, written to `tiles[world]` from `first_tile`.
+        `tiles` [rows, columns] makes it a patchwork, written to `tiles[world]`.
         Raises ValueError if the env's flats or tiles are at their capacity.
         """
         index = _take(self.flat_count, i, self.flats.shape[1], "flats")
@@ -218,11 +217,12 @@ class Scenes:
         self.flat_tint[i, index] = tint
         self.flat_tiles[i, index] = 0
         if tiles is not None:
-            end = first_tile + tiles.size
-            if end > self.tiles.shape[1]:
-                raise ValueError(f"{end} tiles in an env with room for {self.tiles.shape[1]}")
-            self.tiles[i, first_tile:end] = tiles.reshape(-1)
-            self.flat_tiles[i, index] = first_tile, *tiles.shape
+            if tiles.size > self.tiles.shape[1]:
+                raise ValueError(
+                    f"{tiles.size} tiles in an env with room for {self.tiles.shape[1]}"
+                )
+            self.tiles[i, : tiles.size] = tiles.reshape(-1)
+            self.flat_tiles[i, index] = 0, *tiles.shape
         return index
 
     def set_terrain(

@@ -26,7 +26,7 @@ from zipf.experiments.options.runtime import TorchrunOptions
 from zipf.experiments.options.schema import Config, name_of_run, schema
 from zipf.experiments.records import results
 from zipf.experiments.records.replacing import replace_text
-from zipf.experiments.records.result_table import TABLES, check_table, ends_at, last_update
+from zipf.experiments.records.result_table import check_tables, ends_at, last_update
 
 
 def find_checkpoint(config: Config) -> dict[str, Any] | None:
@@ -81,8 +81,7 @@ def is_finished(config: Config) -> bool:
         done = bool(saved["evaluated"] == saved["update"] == config.updates)
         if done:
             check_description(config)
-            for name in TABLES:
-                check_table(folder / name, config.updates, saved["tables"][name])
+            check_tables(folder, config.updates, saved["tables"])
         return done
     except UserError:
         return False
@@ -340,13 +339,6 @@ def other_images(folder: Path) -> str | None:
         f"{folder}: was trained on the images of {there}, and {family.id} has others "
         f"({'; '.join(changes)}): scores on them differ"
     )
-
-
-def last_command(folder: Path) -> str:
-    """The command that last went on with a run. Raises `UserError` as `read_description`."""
-    description = read_description(folder)
-    began: str = (description["resumed"] or [description])[-1]["command"]
-    return began
 
 
 _REMEDY = "restore it from a copy, or remove the run's folder to train anew"

@@ -359,9 +359,8 @@ def bootstrap_over_situations(
 
 def _wilson(outcomes: NDArray) -> tuple[float, float]:
     """The interval of the mean of zeros and ones [n]."""
-    successes, count = pd.Series([outcomes.sum()]), pd.Series([len(outcomes)])
-    low, high = wilson_interval(successes, count)
-    return float(low.iloc[0]), float(high.iloc[0])
+    low, high = wilson_interval(outcomes.sum(), len(outcomes))
+    return float(low), float(high)
 
 
 def _bootstrap(returns: NDArray) -> tuple[float, float]:

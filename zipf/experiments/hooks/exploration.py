@@ -18,7 +18,7 @@ from zipf.experiments.hooks.bonus import Bonus
 from zipf.experiments.hooks.hook import Parts, Row, arrays
 from zipf.experiments.hooks.kernels import add_hashes, count_bonus
 from zipf.experiments.hooks.rnd import RNDBonus, RNDOptions
-from zipf.options import Options
+from zipf.options import Options, Positive
 from zipf.registry import Registry
 
 
@@ -32,7 +32,7 @@ class CountOptions(Options):
     """A bonus of `scale / sqrt(visits)` for the observation that an action led to."""
 
     name: Literal["count"]
-    scale: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    scale: Positive
     table_size: Annotated[int, Field(ge=1, le=2**30)]
 
 
@@ -41,7 +41,7 @@ class FirstVisitOptions(Options):
     episode; that with which the episode began counts as such when an action leads back to it."""
 
     name: Literal["first_visit"]
-    scale: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    scale: Positive
 
 
 class CountBonus(Bonus):

@@ -17,9 +17,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from zipf.agents.unroll import Unroll
+from zipf.agents.unroll import STEP, Unroll
 
 Parts = dict[str, Tensor]
+OF_EPISODES = {k: STEP[k] for k in ("previous_action", "previous_reward", "action", "reward")}
+"""The fields of a step that hindsight keeps, with their dtypes."""
 
 
 @dataclass
@@ -48,9 +50,6 @@ class Hook:
     # Fields that it adds to the steps of unrolls, by name: an empty tensor of the shape and dtype
     # that a field has in one env.
     columns: Mapping[str, Tensor] = {}
-
-    def begin_unroll(self) -> None:
-        """The first step of an unroll follows; called for tensor environments alone."""
 
     def begin(self, observation: Parts, mask: Tensor) -> None:
         """Episodes begin where `mask` [N], with these observations {name: [N, ...]}; at the start

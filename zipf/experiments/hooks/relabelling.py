@@ -17,16 +17,10 @@ from zipf.envs.goals import Goal
 from zipf.envs.vector import ZipfVectorEnv
 from zipf.experiments.hooks.augmentation import Draws
 from zipf.experiments.hooks.goal_memory import Episode, GoalMemory, Parts
-from zipf.experiments.hooks.hook import Hook, Row, arrays
+from zipf.experiments.hooks.hook import OF_EPISODES, Hook, Row, arrays
 from zipf.experiments.hooks.hook import Parts as Tensors
 from zipf.registry import Registry
 
-_FIELDS = {
-    "previous_action": np.dtype(np.int64),
-    "previous_reward": np.dtype(np.float32),
-    "action": np.dtype(np.int64),
-    "reward": np.dtype(np.float32),
-}
 _FIRST_ROWS = 64  # ours: room for short episodes; it doubles where an episode is longer
 
 
@@ -79,7 +73,8 @@ class Hindsight(Hook):
         like = {name: (part.shape[1:], part.dtype) for name, part in env.allocate().items()}
         self._observation = self._zeros(like)
         fields: dict[str, tuple[tuple[int, ...], Any]] = {
-            name: ((), dtype) for name, dtype in _FIELDS.items()
+            name: ((), torch.empty(0, dtype=dtype).numpy().dtype)
+            for name, dtype in OF_EPISODES.items()
         }
         if teacher:
             fields["label"] = (), np.dtype(np.int64)

@@ -20,7 +20,7 @@ from zipf.agents.unroll import Unroll
 from zipf.envs.tensor import TensorEnv
 from zipf.experiments.hooks.augmentation import UNCHANGED, RandomAugmentation
 from zipf.experiments.hooks.exploration import CountOptions, weights_of
-from zipf.experiments.hooks.hook import Hook, Parts, Row
+from zipf.experiments.hooks.hook import OF_EPISODES, Hook, Parts, Row
 
 
 class View:
@@ -48,7 +48,6 @@ class View:
             self._count = augmentation.symmetries.count
             actions = torch.from_numpy(augmentation.symmetries.actions)
             self._to_env = actions.to(env.device)
-            self._to_agent = actions.argsort(1).to(env.device)
         self._unchanged = torch.from_numpy(UNCHANGED).to(env.device)
 
     def draw(self, generator: torch.Generator, n: int) -> Tensor:
@@ -74,12 +73,6 @@ class View:
     def to_env(self, actions: Tensor, draw: Tensor | None) -> Tensor:
         """The envs' actions for those of the agent, [N] -> [N]; -1 stays."""
         return actions if not self._count or draw is None else _mapped(self._to_env, actions, draw)
-
-    def to_agent(self, actions: Tensor, draw: Tensor | None) -> Tensor:
-        """The agent's actions for those of the envs, [N] -> [N]; -1 stays."""
-        return (
-            actions if not self._count or draw is None else _mapped(self._to_agent, actions, draw)
-        )
 
 
 def host_alone(options: Any) -> str | None:
@@ -143,14 +136,6 @@ class Counts(Hook):
         return {"visits": self.visits}
 
 
-_KEPT = {
-    "previous_action": torch.int64,
-    "previous_reward": torch.float32,
-    "action": torch.int64,
-    "reward": torch.float32,
-}
-
-
 class Hindsight(Hook):
     """Relabels whole episodes with what they achieved: `zipf.experiments.hooks.relabelling`, in
     fixed shapes.
@@ -192,7 +177,7 @@ class Hindsight(Hook):
             return torch.zeros(shape, dtype=like.dtype, device=device)
 
         self._codes = {name: ring(part) for name, part in env.observe().items()}
-        kept = {name: torch.zeros(1, dtype=dtype) for name, dtype in _KEPT.items()}
+        kept = {name: torch.zeros(1, dtype=dtype) for name, dtype in OF_EPISODES.items()}
         if draws:
             kept["draw"] = torch.zeros(1, draws, dtype=torch.float64)
         self._fields = {name: ring(like) for name, like in kept.items()}
@@ -206,9 +191,6 @@ class Hindsight(Hook):
         shape = unroll_length, *goal.shape
         self._goals = torch.zeros(shape, dtype=goal.dtype, device=device)
         self._step = 0  # of the unroll
-
-    def begin_unroll(self) -> None:
-        self._step = 0
 
     def step(self, row: Row) -> None:
         t, outcome = self._step, row.outcome
@@ -228,6 +210,7 @@ class Hindsight(Hook):
         self._lengths.masked_fill_(row.ended, 0)
 
     def finish(self, unroll: Unroll) -> None:
+        self._step = 0
         keys, chosen = self._keys.flatten().topk(self.episodes)
         n = len(self._lengths)
         t, env = chosen // n, chosen % n

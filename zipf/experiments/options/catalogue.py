@@ -96,21 +96,15 @@ def help_text(overrides: Sequence[str] = ()) -> str:
 
 def _all_choices() -> str:
     parts = {
-        "experiment=": [
-            (name, summary("experiment", name)) for name in composing.choices("experiment")
-        ],
+        "experiment=": _summaries("experiment"),
         "condition=": [(name, row.title) for name, row in conditions().items()],
         "environment= (a family of envs)": [
             (family.name, _described(family))
             for family in envs.families().values()
             if family.splits
         ],
-        "-m sweep= (a sweep; or -m and lists of values)": [
-            (name, summary("sweep", name)) for name in composing.choices("sweep")
-        ],
-        "-m search= (a sweep over intervals and lists, drawn and scored)": [
-            (name, summary("search", name)) for name in composing.choices("search")
-        ],
+        "-m sweep= (a sweep; or -m and lists of values)": _summaries("sweep"),
+        "-m search= (a sweep over intervals and lists, drawn and scored)": _summaries("search"),
         "hydra/launcher= (what starts the jobs of a sweep)": list(LAUNCHERS.items()),
         "Other groups:": [
             (f"{group}=", ", ".join(composing.choices(group)))
@@ -119,6 +113,10 @@ def _all_choices() -> str:
         ],
     }
     return "\n\n".join(f"{heading}\n{_columns(rows)}" for heading, rows in parts.items())
+
+
+def _summaries(group: str) -> list[tuple[str, str]]:
+    return [(name, summary(group, name)) for name in composing.choices(group)]
 
 
 def _described(family: envs.Family) -> str:

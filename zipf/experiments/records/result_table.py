@@ -95,6 +95,12 @@ def check_table(path: Path, update: int, length: int) -> None:
             raise UserError(f"{path}, line {number}: is not UTF-8 text; {_remedy(update)}")
 
 
+def check_tables(folder: Path, update: int, lengths: Mapping[str, int]) -> None:
+    """`check_table` of all tables of a run; `lengths` are those that its checkpoint knows."""
+    for name in TABLES:
+        check_table(folder / name, update, lengths[name])
+
+
 def last_update(path: Path) -> str | None:
     """The update of the last row of a table that may be damaged, as it stands there; None where
     there is no row."""

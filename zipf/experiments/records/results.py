@@ -277,19 +277,11 @@ def _evaluations(path: Path, texts: pd.DataFrame, description: RunDescription) -
     for level_kind in KINDS:
         known = description.levels_of(level_kind).weights
         of_kind = rows[rows["level_kind"] == level_kind]
+        there = f"by run.json the run has {', '.join(known) or 'none of this kind'}"
         unknown = of_kind[~of_kind["level"].isin(known)]
-        if len(unknown):
-            raise UserError(
-                f"{path.as_posix()}, line {unknown.index[0]}: {level_kind} level "
-                f"{unknown['level'].iloc[0]!r}; by run.json the run has "
-                f"{', '.join(known) or 'none of this kind'}"
-            )
+        _refuse(path, unknown, "{level_kind} level {level!r}", f"; {there}")
     again = rows[rows.duplicated(["update", "level_kind", "level"])]
-    if len(again):
-        update, _, level = again[["update", "level_kind", "level"]].iloc[0]
-        raise UserError(
-            f"{path.as_posix()}, line {again.index[0]}: {level} at update {update} a second time"
-        )
+    _refuse(path, again, "{level} at update {update} a second time")
     return _in_order(rows)
 
 
@@ -319,28 +311,24 @@ def _situations(
                 f"{path.as_posix()}, line 1: column {name}, but run.json's situation has "
                 f"{', '.join(description.situation) or 'no rank'}"
             )
+        ranks = f"but by run.json the ranks are 0 to {size - 1}"
         too_large = rows[rows[name] >= size]
-        if len(too_large):
-            raise UserError(
-                f"{path.as_posix()}, line {too_large.index[0]}: {name} "
-                f"{too_large[name].iloc[0]}, but by run.json the ranks are 0 to {size - 1}"
-            )
+        _refuse(path, too_large, f"{name} {{{name}}}", f", {ranks}")
     too_many = rows[rows["successes"] > rows["episodes"]]
-    if len(too_many):
-        raise UserError(
-            f"{path.as_posix()}, line {too_many.index[0]}: {too_many['successes'].iloc[0]:g} "
-            f"successes of {too_many['episodes'].iloc[0]} episodes"
-        )
+    _refuse(path, too_many, "{successes:g} successes of {episodes} episodes")
     return _in_order(rows), names
 
 
 def _check_kinds(path: Path, rows: pd.DataFrame) -> None:
+    known = f"expected one of {', '.join(KINDS)}"
     wrong = rows[~rows["level_kind"].isin(KINDS)]
-    if len(wrong):
-        raise UserError(
-            f"{path.as_posix()}, line {wrong.index[0]}: column level_kind has "
-            f"{wrong['level_kind'].iloc[0]!r}, expected one of {', '.join(KINDS)}"
-        )
+    _refuse(path, wrong, "column level_kind has {level_kind!r}", f", {known}")
+
+
+def _refuse(path: Path, wrong: pd.DataFrame, what: str, why: str = "") -> None:
+    """Raises `UserError` about the first of these rows, if there is any; `what` names columns."""
+    for line, row in zip(wrong.index, wrong.to_dict("records"), strict=True):
+        raise UserError(f"{path.as_posix()}, line {line}: {what.format_map(row)}{why}")
 
 
 def _in_order(rows: pd.DataFrame) -> pd.DataFrame:

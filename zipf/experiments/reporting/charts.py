@@ -638,7 +638,8 @@ def _rank_title(name: str) -> str:
 
 def rank_ticks(count: int) -> tuple[list[float], list[str]]:
     """Ranks from 1: all of a few, else the first and round ones."""
-    step = next(step for step in (1, 2, 5, 10, 20, 50, 10**9) if count / step <= 6)
+    steps = (round_ * 10**power for power in itertools.count() for round_ in (1, 2, 5))
+    step = next(step for step in steps if count / step <= 6)
     ranks = list(dict.fromkeys([1, *range(step, count + 1, step)]))
     if step > 1 and len(ranks) > 1 and ranks[1] - 1 < step / 2:
         ranks.pop(1)

@@ -52,8 +52,9 @@ def standard_error(values: ArrayLike, weights: ArrayLike) -> float:
     return float(np.sqrt(len(x) / (len(x) - 1) * np.sum(deviations**2)))
 
 
-def wilson_interval(successes: pd.Series, episodes: pd.Series) -> tuple[pd.Series, pd.Series]:
-    """95 % interval of a success rate (Wilson 1927, without continuity correction)."""
+def wilson_interval(successes: Any, episodes: Any) -> tuple[Any, Any]:
+    """95 % interval of a success rate (Wilson 1927, without continuity correction); of numbers, or
+    of series of them."""
     rate = successes / episodes
     centre = (rate + Z_95**2 / (2 * episodes)) / (1 + Z_95**2 / episodes)
     half = (
@@ -61,7 +62,7 @@ def wilson_interval(successes: pd.Series, episodes: pd.Series) -> tuple[pd.Serie
         / (1 + Z_95**2 / episodes)
         * np.sqrt(rate * (1 - rate) / episodes + Z_95**2 / (4 * episodes**2))
     )
-    return (centre - half).clip(lower=0), (centre + half).clip(upper=1)
+    return np.maximum(centre - half, 0), np.minimum(centre + half, 1)
 
 
 FEWEST_SEEDS = 2  # one has no spread

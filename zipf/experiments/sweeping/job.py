@@ -21,6 +21,7 @@ from typing import IO, Any, Literal
 
 from hydra.core.hydra_config import HydraConfig
 
+from zipf.experiments.records.replacing import replace_text
 from zipf.experiments.records.wording import duration_text
 from zipf.experiments.training.signals import STOPPED, SWEEP_PIPE, Handler, give_back
 
@@ -74,10 +75,7 @@ class Board:
 
     def tell(self, job: Job, outcome: Outcome) -> None:
         """Notes what became of a job. Raises `OSError` where the folder cannot be written."""
-        path = self.folder / f"{job.number}.json"
-        new = path.with_suffix(".new")
-        new.write_text(json.dumps(asdict(outcome)), encoding="utf-8")
-        os.replace(new, path)
+        replace_text(self.folder / f"{job.number}.json", json.dumps(asdict(outcome)))
 
     def outcome(self, job: Job) -> Outcome | None:
         """The latest that a job has reported; None before it has begun."""

@@ -108,6 +108,7 @@ def check(overrides: list[str], is_finished: Callable[[Config], bool] = lambda _
     problems: dict[str, None] = {}
     left_out: dict[str, None] = {}
     jobs: list[PlannedJob] = []
+    folders: set[Path] = set()
     for words, pair in expand(overrides):
         try:
             config = loading.read(list(words))
@@ -116,8 +117,9 @@ def check(overrides: list[str], is_finished: Callable[[Config], bool] = lambda _
                 if pair and (why := _misfit(*pair)):
                     left_out[why] = None
                     continue
-                loading.check(config, [job.config.folder for job in jobs])
+                loading.check(config, folders)
             jobs.append(PlannedJob(words, config, finished))
+            folders.add(config.folder)
         except UserError as error:
             problems.update(dict.fromkeys(str(error).splitlines()))
     problems.update(dict.fromkeys(_shared_folders(jobs)))

@@ -19,6 +19,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any, Protocol, TypeVar
 
@@ -230,7 +231,7 @@ class BackgroundRollouts(SynchronousRollouts):
         self._unroll = self._pending
         self._learned_from = self.collector.take_visits(), self.collector.take_episodes()
         if self._stream is not None:  # the published weights have arrived
-            torch.cuda.synchronize(self._stream.device)
+            torch.cuda.current_stream(self._stream.device).synchronize()
         self._collecting = self._thread.submit(self._collect)
 
     def metrics(self) -> dict[str, float]:
@@ -311,18 +312,13 @@ class TensorRollouts(SynchronousRollouts):
         return self.collector.seconds if self.clock is None else {}
 
     def _next(self) -> Unroll:
-        if self.clock is None:
-            return self._next_unroll()
-        with self.clock.part("inference"):
-            return self._next_unroll()
-
-    def _next_unroll(self) -> Unroll:
-        if self.lag == 0:
-            unroll = self.collector.collect()
-            outcomes, met = self.collector.outcomes, self.collector.met
-        else:
-            unroll, outcomes, met = self._pending or self._collected()
-            self._pending = self._collected()
+        with self.clock.part("inference") if self.clock else nullcontext():
+            if self.lag == 0:
+                unroll = self.collector.collect()
+                outcomes, met = self.collector.outcomes, self.collector.met
+            else:
+                unroll, outcomes, met = self._pending or self._collected()
+                self._pending = self._collected()
         self._tally.add(outcomes, met)
         return unroll
 

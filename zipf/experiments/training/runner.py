@@ -38,6 +38,7 @@ from zipf.experiments.evaluation.trained import evaluate_agent
 from zipf.experiments.hooks.visits import Visits
 from zipf.experiments.loggers import End, Start
 from zipf.experiments.options.schema import Config, has_bfloat16
+from zipf.experiments.records.result_table import check_tables
 from zipf.experiments.training import pretrained
 from zipf.experiments.training.allocator import keep_freed_ram
 from zipf.experiments.training.clock import Clock, DeviceClock
@@ -45,7 +46,6 @@ from zipf.experiments.training.outputs import Outputs
 from zipf.experiments.training.rollouts import SynchronousRollouts, TensorRollouts
 from zipf.experiments.training.runtime import LearnerLost, OnlyLearner, Runtime
 from zipf.experiments.training.signals import Stopped, StopSignals, sweep_has_ended
-from zipf.experiments.training.tables import Tables
 
 
 def train(
@@ -78,6 +78,8 @@ def train(
         before = torch.are_deterministic_algorithms_enabled()
         stack.callback(torch.use_deterministic_algorithms, before)
         _choose_kernels(config)
+        if config.torch_device.startswith("cuda"):  # for calls that name no device
+            stack.enter_context(torch.cuda.device(config.torch_device))
         learner = stack.enter_context(runtime.learner())
         if learner.is_first:
             run_folder.check_resumed(config)  # before a folder is made
@@ -233,7 +235,7 @@ class Run:
         if self.is_finished and self.learner.is_first:
             assert self._lengths is not None
             run_folder.check_description(config, self._ranks())
-            Tables.check(self.folder, self.update, self._lengths)
+            check_tables(self.folder, self.update, self._lengths)
         self.name = config.run_name
         self.outputs = Outputs(
             config,
@@ -377,8 +379,10 @@ class Run:
                 self.agent.scale_learning_rates(self.config.learning_rate_factor(self.update))
             metrics = self.agent.update(unroll)
             if self.device.startswith("cuda") and not self._device_clock:
-                torch.cuda.synchronize(self.device)  # to measure the time, and because the unroll
-            return metrics  # is overwritten by the next
+                # To measure the time, and because the unroll is overwritten by the next. A wait for
+                # the whole device would fail where another thread records a graph.
+                torch.cuda.current_stream(self.device).synchronize()
+            return metrics
 
     def _check_finite(self) -> None:
         """Ends the run where captured updates have diverged, which alone do not end it at once."""

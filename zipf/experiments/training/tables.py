@@ -12,7 +12,7 @@ import pandas as pd
 from zipf.errors import writing
 from zipf.experiments.evaluation.evaluator import Result, situations
 from zipf.experiments.hooks.visits import Visits
-from zipf.experiments.records.result_table import TABLES, ResultTable, check_table
+from zipf.experiments.records.result_table import TABLES, ResultTable, check_tables
 
 KEPT = "; the last checkpoint is kept"
 
@@ -33,17 +33,11 @@ class Tables:
     def __init__(self, folder: Path, update: int, lengths: Mapping[str, int] | None = None):
         self.folder = folder
         if lengths is not None:
-            self.check(folder, update, lengths)
+            check_tables(folder, update, lengths)
         self._tables = {}
         for name in TABLES:
             with writing(folder / name, KEPT):
                 self._tables[name] = ResultTable(folder / name, lengths[name] if lengths else 0)
-
-    @staticmethod
-    def check(folder: Path, update: int, lengths: Mapping[str, int]) -> None:
-        """Raises `UserError` where a table lacks rows that it had at a checkpoint."""
-        for name in TABLES:
-            check_table(folder / name, update, lengths[name])
 
     def lengths(self) -> dict[str, int]:
         """The tables' lengths in bytes, for a checkpoint; so much is on the disk on return."""

@@ -161,8 +161,6 @@ class TensorCollector(Collector):
         self._buffers.begin_after(self._buffers)
         for tensor in (self._cut, self.outcomes, self.met):
             tensor.zero_()
-        for hook in self.hooks:
-            hook.begin_unroll()
         return self._fill(self._buffers)
 
     def _advance(self, buffers: UnrollBuffers, t: int) -> Step:

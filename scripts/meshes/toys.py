@@ -1,6 +1,7 @@
-"""The toys of ranks 1 to 25, from the most frequent on.
+"""The toys, from the most frequent on. Lengths are about centimetres until `assemble` scales them.
 
-The features that distinguish a toy are exaggerated, because it is drawn a dozen pixels wide.
+At the distances of the task a toy is about ten pixels high, so the features that distinguish it
+are exaggerated: thick tines, few teeth, big rings.
 """
 
 from dataclasses import replace
@@ -10,6 +11,7 @@ import numpy as np
 from .shapes import (
     ACCENT,
     DARK,
+    GREEN,
     LIGHT,
     MAIN,
     WOOD,
@@ -21,12 +23,14 @@ from .shapes import (
     block,
     box,
     circle,
+    cone,
     cylinder,
     ellipsoid,
     lathe,
     loft,
     rod,
     slab,
+    torus,
     tube,
 )
 
@@ -485,11 +489,414 @@ def phone() -> Mesh:
     )
 
 
+def _star(outer: float, inner: float, points: int, z: float) -> np.ndarray:
+    """A star's outline [2 * points, 3] about the z axis."""
+    ring = circle(outer, 2 * points, z)
+    ring[1::2, :2] *= inner / outer
+    return ring
+
+
+def _oval(x: float, y: float, z: float, sides: int) -> np.ndarray:
+    """An ellipse's outline [sides, 3] about the z axis."""
+    return circle(1.0, sides, z, start=180 / sides) * (x, y, 1.0)
+
+
+def _panels(solid: Solid, count: int) -> Solid:
+    """Colours sectors about the z axis alternately in the main and the accent colour."""
+    middle = solid.vertices[solid.triangles].mean(axis=1)
+    sector = np.floor(np.arctan2(middle[:, 1], middle[:, 0]) / (2 * np.pi) * count).astype(int)
+    return replace(solid, parts=np.where(sector % 2 == 0, MAIN, ACCENT))
+
+
+def keyboard() -> Mesh:
+    slope = 19.0
+    wedge = [(-10.0, 0.0), (10.0, 0.0), (10.0, 3.0), (-10.0, 3.0 + 20 * np.tan(np.radians(slope)))]
+    solids = [slab(wedge, 40, plane="xz")]
+    keys = [(x, y, 4.8) for x, shift in ((-6.4, 0.0), (0.0, 1.5)) for y in _spread(6, 6.2, shift)]
+    keys += [(6.4, -15.0, 6.0), (6.4, 0.0, 20.0), (6.4, 15.0, 6.0)]
+    for x, y, width in keys:
+        key = box(4.6, width, 2.6, DARK, at=(x, y, 0.8))
+        solids.append(key.turn("y", slope).move(z=3 + 10 * np.tan(np.radians(slope))))
+    return assemble(solids, 0.44)
+
+
+def _spread(count: int, pitch: float, shift: float = 0.0) -> list[float]:
+    """`count` positions at a distance of `pitch`, centred at `shift`."""
+    return [(i - (count - 1) / 2) * pitch + shift for i in range(count)]
+
+
+def helicopter() -> Mesh:
+    tail = [(-21.0, 17.0), (-15.0, 17.0), (-18.5, 29.0), (-24.0, 29.0)]
+    blade = box(36, 5.5, 2, ACCENT, at=(0, 0, 27.5))
+    solids = [
+        ellipsoid((12, 8.5, 9), at=(5, 0, 15.5), sides=8, rings=3),
+        ellipsoid((8.5, 7, 6), LIGHT, at=(10.5, 0, 17), sides=8, rings=3),
+        rod((-2, 0, 17), (-20, 0, 19), 4, end_radius=2.2, sides=6),
+        slab(tail, 2.4, ACCENT, plane="xz"),
+        rod((4, 0, 22), (4, 0, 30), 1.8, DARK, sides=4),
+        blade.turn("z", 45).move(4),
+        blade.turn("z", -45).move(4),
+    ]
+    for y in (-8, 8):
+        solids.append(box(26, 2.4, 2.4, DARK, at=(4, y, 1.2)))
+        solids += [rod((x, y, 1), (x, y * 0.5, 10), 1.2, DARK, sides=3) for x in (-2, 10)]
+    return assemble(solids, 0.35)
+
+
+def carriage() -> Mesh:
+    bowl = arc(15, 180, 360, 7)[:, [0, 2]]
+    hood = np.concatenate([[(0.0, 0.0)], arc(17, 75, 180, 5)[:, [0, 2]]])
+    # A tapered hull: two narrow sides about the wide middle.
+    hull = [
+        np.column_stack([bowl[:, 0] * f, np.full(7, y), bowl[:, 1] * f])
+        for y, f in ((-11, 0.8), (-9, 1), (9, 1), (11, 0.8))
+    ]
+    solids = [
+        loft(hull, at=(0, 0, 24)),
+        slab([(x, z) for x, z in hood], 23, ACCENT, plane="xz", at=(0, 0, 24)),
+        box(14, 16, 3, LIGHT, at=(6.5, 0, 24)),
+    ]
+    for y in (-7.5, 7.5):
+        solids.append(rod((13, y, 21), (24, y, 34), 1.3, DARK, sides=3))
+    solids.append(rod((24, -9, 34), (24, 9, 34), 1.6, DARK, sides=3))
+    for side in (-1, 1):
+        wheel = cylinder(9, 3.4, DARK, sides=7)
+        spokes = loft([_star(8, 3.2, 4, 3.0), [(0, 0, 5.0)]], LIGHT)
+        for x in (-10.5, 10.5):
+            solids += [s.turn("x", -90 * side).move(x, 11 * side, 9) for s in (wheel, spokes)]
+    return assemble(solids, 0.60)
+
+
+def racket() -> Mesh:
+    loop = circle(1.0, 14)[:, [2, 0, 1]] * (0, 12.5, 13.5) + (0, 0, 26)
+    solids = [
+        tube(loop, 3.5, sides=4, closed=True),
+        rod((0, -8, 15), (0, 0, 4), 2.2, sides=4),
+        rod((0, 8, 15), (0, 0, 4), 2.2, sides=4),
+        rod((0, 0, -9), (0, 0, 8), 3, ACCENT, sides=6),
+        cylinder(3.8, 3, DARK, at=(0, 0, -11), sides=6),
+    ]
+    for offset in (-6, 0, 6):
+        reach = float(np.sqrt(1 - (offset / 13) ** 2))
+        y, z = 12.5 * reach, 13.5 * reach
+        solids.append(rod((0, offset, 26 - z), (0, offset, 26 + z), 1.1, LIGHT, sides=3))
+        solids.append(rod((0, -y, 26 + offset), (0, y, 26 + offset), 1.1, LIGHT, sides=3))
+    return assemble(solids, 0.68)
+
+
+def pillow() -> Mesh:
+    steps = np.linspace(-1, 1, 7)
+    u, v = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
+    # The sides curve inwards between the corners, as a cushion's do.
+    x = 15 * u * (1 - 0.16 * (1 - v**2) * np.abs(u))
+    y = 20 * v * (1 - 0.16 * (1 - u**2) * np.abs(v))
+    height = 9.5 * ((1 - u**2) * (1 - v**2)) ** 0.4
+    index = np.arange(49).reshape(7, 7)
+    a, b, c, d = (index[i : i + 6, j : j + 6] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    # Diagonals run towards the corners: no triangle has its three points on the border.
+    across = np.outer(steps[:-1] + 0.1, steps[:-1] + 0.1)
+    first = np.where(across > 0, [a, b, c], [a, b, d]).reshape(3, -1)
+    second = np.where(across > 0, [a, c, d], [b, c, d]).reshape(3, -1)
+    upper = np.concatenate([first, second], axis=1).T
+    # Both sides share the border, where the height is zero.
+    lower = np.where(height > 0, np.arange(49) + 49, np.arange(49))[upper[:, ::-1]]
+    vertices = np.concatenate([np.stack([x, y, sign * height], 1) for sign in (1, -1)])
+    used, triangles = np.unique(np.concatenate([upper, lower]), return_inverse=True)
+    triangles = triangles.reshape(-1, 3)
+    return assemble([Solid(vertices[used], triangles, np.full(len(triangles), MAIN))], 0.60)
+
+
+def candle() -> Mesh:
+    return assemble(
+        [
+            lathe([(9, 0), (13, 3), (12, 4), (8, 1.6), (0, 1.6)], ACCENT, sides=10),
+            torus(4.2, 1.5, ACCENT, around=8, sides=4).turn("x", 90).move(15.5, 0, 5.5),
+            cylinder(6, 21, at=(0, 0, 1), sides=8),
+            rod((0, 0, 21), (0, 0, 26), 1.0, DARK, sides=4),
+            lathe([(0, 24), (4.2, 28.5), (3.2, 32), (0, 40)], LIGHT, sides=6),
+        ],
+        0.13,
+    )
+
+
+def teapot() -> Mesh:
+    body = [(8, 0), (13, 4), (15, 11), (13, 19), (8, 23)]
+    spout = [(10.0, 0.0, 7.0), (17.0, 0.0, 11.0), (19.0, 0.0, 18.0), (22.0, 0.0, 24.0)]
+    handle = arc(8, 80, 280, 8, at=(-14, 0, 12.5))
+    return assemble(
+        [
+            lathe(body, sides=10),
+            lathe([(9, 22), (8, 25), (0, 27.5)], ACCENT, sides=10),
+            ellipsoid((3.6, 3.6, 3.6), ACCENT, at=(0, 0, 30), sides=5, rings=2),
+            tube(spout, [6, 5, 3.6, 3.6], sides=5),
+            tube(handle, 2.5, ACCENT, sides=4),
+        ],
+        0.24,
+    )
+
+
+def banana() -> Mesh:
+    path = arc(17, -75, 75, 10, plane="xy")
+    path = np.concatenate([path[:1] + (-2.5, -0.4, 0), path, path[-1:] + (-5, 1.4, 0)])
+    radii = [1.6, 2.4, 4.2, 5.4, 5.9, 6.0, 5.9, 5.6, 5.0, 4.0, 2.2, 2.0]
+    return assemble([tube(path, radii, [DARK, *[MAIN] * 9, DARK], sides=6)], 0.20)
+
+
+def apple() -> Mesh:
+    flesh = [(0, 3), (5, 0), (11, 3.5), (16.5, 11), (19, 19), (16.5, 26), (9.5, 28.5), (0, 23)]
+    leaf = [(0.0, 0.0), (8.0, -5.5), (17.0, 0.0), (8.0, 5.5)]
+    return assemble(
+        [
+            lathe(flesh, sides=10),
+            rod((0, 0, 23), (-3, 0, 40), 2.2, WOOD, sides=5, end_radius=2.6),
+            slab(leaf, 2.6, GREEN).turn("y", -25).move(-1.5, 0, 33),
+        ],
+        0.09,
+    )
+
+
+def carrot() -> Mesh:
+    root = [(2, 0), (5.4, 7), (4.8, 8), (8.4, 15), (7.6, 16), (11, 24), (9, 28), (0, 29)]
+    solids = [lathe(root, sides=10)]
+    outline = [(0.0, -1.8), (9.0, -4.0), (15.0, 0.0), (9.0, 4.0), (0.0, 1.8)]
+    for angle in (0, 72, 144, 216, 288):
+        leaf = slab(outline, 2.6, GREEN).turn("y", -52)
+        solids.append(leaf.turn("z", angle).move(z=27))
+    return assemble(solids, 0.22)
+
+
+def mushroom() -> Mesh:
+    cap = [(5, 18), (17, 17), (19, 21), (15.5, 28), (8.5, 33), (0, 34.5)]
+    solids = [
+        lathe([(9, 0), (7.5, 3), (6, 10), (6.5, 19)], LIGHT, sides=8),
+        lathe(cap, sides=10),
+    ]
+    for angle, radius, height, tilt in [
+        *((a, 17.0, 24.5, 62) for a in (0, 120, 240)),
+        *((a, 11.0, 30.5, 36) for a in (60, 180, 300)),
+    ]:
+        spot = cylinder(4.6, 1.6, LIGHT, sides=5, top=3.8).move(z=-0.6)
+        solids.append(spot.turn("y", tilt).move(radius, 0, height).turn("z", angle))
+    return assemble(solids, 0.10)
+
+
+def toothbrush() -> Mesh:
+    shaft = [(1.5, 0, 0), (0.5, 0, 9), (0, 0, 18), (-0.5, 0, 24), (0, 0, 27)]
+    solids = [
+        tube(np.array(shaft, dtype=float), [3.6, 4.2, 3.4, 2.2, 2.6], sides=6),
+        box(4.2, 8, 18, at=(0, 0, 35)),
+        lathe([(4, 4), (5.4, 5.5), (5.4, 13), (4, 14.5)], ACCENT, sides=6).move(0.6),
+    ]
+    for z in (28.2, 32.7, 37.2, 41.7):
+        solids.append(block((3, 6), (3.7, 8), 11, LIGHT).turn("y", 90).move(1.2, 0, z))
+    return assemble(solids, 0.19)
+
+
+def toothpaste() -> Mesh:
+    body = [
+        _oval(8, 8, 7, 10),
+        _oval(7.4, 9.6, 15, 10),
+        _oval(6.4, 11.2, 22, 10),
+        _oval(3.0, 14.0, 35, 10),
+        _oval(2.4, 14.6, 40, 10),
+    ]
+    return assemble(
+        [
+            cylinder(6, 6.5, LIGHT, sides=8, top=5.4),
+            cylinder(3.5, 3, DARK, at=(0, 0, 5), sides=6),
+            loft(body, [MAIN, ACCENT, MAIN, LIGHT]),
+        ],
+        0.18,
+    )
+
+
+def comb() -> Mesh:
+    spine = [(-20.5, 17.0), (20.5, 17.0), (20.5, 22.0), (13.0, 26.0), (-13.0, 26.0), (-20.5, 22.0)]
+    solids = [slab(spine, 6, plane="yz")]
+    solids += [block((3.4, 2.2), (5, 3.4), 18, at=(0, y, 0)) for y in _spread(7, 6.26)]
+    return assemble(solids, 0.18)
+
+
+def hairdryer() -> Mesh:
+    barrel = [(0, -13), (6, -12), (9.5, -7), (10, 0), (7, 10), (7, 12), (9, 20), (7, 20), (5, 14)]
+    grip = [(-5.0, 0.0), (5.0, 0.0), (3.5, 26.0), (-6.5, 26.0)]
+    return assemble(
+        [
+            lathe([*barrel, (0, 14)], [*[MAIN] * 4, *[ACCENT] * 3, DARK, DARK], sides=10)
+            .turn("y", 90)
+            .move(0, 0, 29),
+            slab(grip, 7, plane="xz"),
+            box(3, 3, 8, DARK, at=(5, 0, 16)),
+        ],
+        0.24,
+    )
+
+
+def fork() -> Mesh:
+    head = [(-3, 20), (3, 20), (12, 24), (12, 29), (-12, 29), (-12, 24)]
+    solids = [
+        slab(head, 6, plane="yz"),
+        lathe([(3, 0), (4.6, 2), (4, 10), (2.8, 16), (2.8, 22)], sides=8),
+    ]
+    solids += [block((6, 4.4), (4.6, 3), 15, at=(0, y, 28)) for y in (-9.6, 0, 9.6)]
+    return assemble(solids, 0.19)
+
+
+def hammer() -> Mesh:
+    claw = [(-4, 28), (-4, 38), (-9, 38), (-20, 31), (-21, 27), (-11, 30)]
+    neck = cylinder(4.5, 6, sides=10).turn("x", -90).move(0, 4, 33)
+    face = lathe([(4.8, 0), (6.6, 2), (6.6, 8), (5.6, 9)], ACCENT, sides=10)
+    return assemble(
+        [
+            lathe([(4, 0), (3.6, 5), (2.8, 20), (3.2, 36)], WOOD, sides=8),
+            box(9.5, 9.5, 11, at=(0, 0, 32.5)),
+            neck,
+            face.turn("x", -90).move(0, 8, 33),
+            *(slab(claw, 3.4, plane="yz", at=(x, 0, 0)) for x in (-3, 3)),
+        ],
+        0.33,
+    )
+
+
+def screwdriver() -> Mesh:
+    grip = [_star(r, 0.74 * r, 6, z) for r, z in ((5.6, 0), (9.4, 2.5), (8.8, 17), (5.4, 20))]
+    tip = [_oval(2.9, 2.9, 32, 8), _oval(2.6, 7.4, 36, 8), _oval(1.8, 7.4, 42, 8)]
+    return assemble(
+        [
+            loft(grip, [MAIN, MAIN, ACCENT]),
+            cylinder(2.9, 16, LIGHT, at=(0, 0, 18), sides=6),
+            loft(tip, LIGHT),
+        ],
+        0.23,
+    )
+
+
+def key() -> Mesh:
+    return assemble(
+        [
+            torus(12, 4, around=12, sides=4).turn("y", 90).move(0, 0, 34),
+            cylinder(3.8, 22, sides=8),
+            cylinder(6, 4, ACCENT, at=(0, 0, 18.5), sides=8),
+            box(6.4, 17, 6, at=(0, 9, 3)),
+            box(6.4, 12, 5, at=(0, 6.5, 13.4)),
+        ],
+        0.10,
+    )
+
+
+def scissors() -> Mesh:
+    outline = [(-3.6, -3), (3.4, -3), (4.4, 8), (0.8, 26), (-2.2, 26), (-3.6, 10)]
+    solids = [cylinder(2.6, 10, DARK, sides=6).move(z=-5).turn("y", 90)]
+    for side in (-1, 1):
+        blade = slab(outline, 3.6, LIGHT, plane="yz")
+        arm = rod((0, 0, 2), (0, 1, -8), 2.6, sides=4)
+        ring = torus(6.2, 2.2, around=10, sides=4).turn("y", 90).move(0, 3.0, -13.5)
+        for solid in (blade, arm, ring):
+            upright = solid.mirror() if side < 0 else solid
+            solids.append(upright.turn("x", side * 27).move(side * 1.8))
+    return assemble(solids, 0.18)
+
+
+def umbrella() -> Mesh:
+    rim = circle(19, 16, 22)
+    rim[1::2] = rim[1::2] * (0.86, 0.86, 1) + (0, 0, 3)
+    peak, hollow = np.array([(0, 0, 36)]), np.array([(0, 0, 33)])
+    canopy = [peak, circle(9.5, 16, 33), rim, rim * (0.92, 0.92, 1), hollow]
+    bend = arc(5, 180, 350, 6, plane="yz", at=(0, 5, 5))
+    hook = np.concatenate([[(0.0, 0.0, 34.0)], bend])
+    return assemble(
+        [
+            _panels(loft(canopy), 8),
+            tube(hook, 2.2, DARK, sides=4),
+            cone(1.8, 6, DARK, at=(0, 0, 35), sides=4),
+        ],
+        0.90,
+    )
+
+
+def basket() -> Mesh:
+    profile = [(11, 0), (13.2, 6), (15, 12), (16.5, 18), (14.5, 18), (10, 4), (0, 4)]
+    hold = lathe(profile, [MAIN] * 5 + [DARK], sides=10).turn("z", 18)
+    height = hold.vertices[hold.triangles][:, :, 2].mean(axis=1)
+    woven = _panels(hold, 10)
+    checked = np.where((height > 6) & (height < 12), 1 - woven.parts, woven.parts)
+    hold = replace(hold, parts=np.where(hold.parts == DARK, DARK, checked))
+    handle = arc(15.5, 0, 180, 8, plane="yz", at=(0, 0, 16)) * (1, 1, 1.15)
+    rim = torus(16, 1.8, WOOD, at=(0, 0, 18), around=10, sides=4)
+    return assemble([hold, tube(handle, 2.4, WOOD, sides=4), rim], 0.40)
+
+
+def cactus() -> Mesh:
+    trunk = [_star(r, 0.74 * r, 6, z) for r, z in ((5.5, 10), (6.4, 20), (6, 35), (3, 39))]
+    left = np.array([(0, -3, 21), (0, -12, 21), (0, -13.5, 23), (0, -13.5, 33), (0, -13.5, 35)])
+    right = np.array([(0, 3, 17), (0, 11, 17), (0, 12.5, 19), (0, 12.5, 27), (0, 12.5, 29)])
+    radii = [3.2, 3.4, 3.8, 3.4, 1.5]
+    pot = [(8, 0), (10, 9), (12, 9), (12, 12.5), (0, 12.5)]
+    return assemble(
+        [
+            lathe(pot, [MAIN, ACCENT, ACCENT, WOOD], sides=8),
+            loft(trunk, GREEN),
+            tube(left.astype(float), radii, GREEN, sides=5),
+            tube(right.astype(float), radii, GREEN, sides=5),
+            cone(3, 4, ACCENT, sides=5, at=(0, 0, 38)),
+        ],
+        0.25,
+    )
+
+
+def dice() -> Mesh:
+    pips = {
+        1: [(0, 0)],
+        2: [(-1, -1), (1, 1)],
+        3: [(-1, -1), (0, 0), (1, 1)],
+        4: [(-1, -1), (1, -1), (-1, 1), (1, 1)],
+        5: [(-1, -1), (1, -1), (0, 0), (-1, 1), (1, 1)],
+        6: [(-1, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (1, 1)],
+    }
+    # Each pair of opposite faces has seven pips.
+    turns = {5: ("y", 0), 2: ("y", 180), 6: ("y", 90), 1: ("y", -90), 3: ("x", 90), 4: ("x", -90)}
+    solids = [_chamfered_cube(20, 4)]
+    for face, (axis, degrees) in turns.items():
+        for x, y in pips[face]:
+            pip = cone(4.6, 1.0, DARK, sides=5).move(9.8 * x, 9.8 * y, 19.9)
+            solids.append(pip.turn(axis, degrees))
+    return assemble(solids, 0.05)
+
+
+def _chamfered_cube(half: float, cut: float) -> Solid:
+    """A cube about the origin with its edges and corners cut off."""
+    flat = half - cut
+    rings = []
+    for z, far, near in (
+        (-half, flat, 0.85 * flat),
+        (-flat, half, flat),
+        (flat, half, flat),
+        (half, flat, 0.85 * flat),
+    ):
+        quarter = [(far, -near), (far, near), (near, far), (-near, far)]
+        rings.append([(i * x, i * y, z) for i in (1, -1) for x, y in quarter])
+    return loft(rings)
+
+
+def pyramid() -> Mesh:
+    solids = []
+    for level in range(7):
+        low = 40 - 5.4 * level
+        solids.append(block((low, low), (low - 3.6, low - 3.6), 4.2, at=(0, 0, 4.2 * level)))
+    peak: list[Point] = [(0, 0, 33)]
+    solids.append(loft([circle(2.1, 4, 29.4, start=45), peak], ACCENT))
+    solids.append(block((6, 10), (6, 7), 9, DARK, at=(18.2, 0, 0), shift=(-5.8, 0)))
+    return assemble(solids, 0.40)
+
+
 TOYS = {
     toy.__name__: toy
     for toy in (
         duck, ball, book, cup, car, train, boat, robot, teddy, rocket,
         bus, plane, mug, spoon, bowl, plate, bottle, chair, lamp, hat,
         drum, guitar, piano, clock, phone,
+        keyboard, helicopter, carriage, racket, pillow, candle, teapot, banana, apple,
+        carrot, mushroom, toothbrush, toothpaste, comb, hairdryer, fork, hammer, screwdriver,
+        key, scissors, umbrella, basket, cactus, dice, pyramid,
     )
 }  # fmt: skip

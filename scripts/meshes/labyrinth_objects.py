@@ -1,4 +1,4 @@
-"""Objects of Zipf's Labyrinth, the first half of the forty: apple2 to key.
+"""Objects of Zipf's Labyrinth, the forty: apple2 to zebra.
 
 Lengths are centimetres. Every object shows both its main and its accent colour from all sides,
 because tasks name objects by their colours. What distinguishes an outline is exaggerated.
@@ -18,6 +18,7 @@ from .shapes import (
     block,
     box,
     circle,
+    cone,
     cylinder,
     ellipsoid,
     lathe,
@@ -27,7 +28,7 @@ from .shapes import (
     torus,
     tube,
 )
-from .toys_first import both_sides, wheels
+from .toys import both_sides, wheels
 
 
 def apple2() -> list[Solid]:
@@ -293,6 +294,250 @@ def key() -> list[Solid]:
     ]
 
 
+def knife() -> list[Solid]:
+    blade = [(-2.2, 21), (3.2, 21), (3.2, 46), (1.0, 51), (-1.6, 53), (-2.2, 45)]
+    return [
+        slab(blade, 2.4, MAIN, plane="yz"),
+        block((4, 5.4), (3.6, 4.4), 20, ACCENT),
+        box(3.4, 5.8, 2.4, ACCENT, at=(0, 0, 20.5)),
+    ]
+
+
+def ladder() -> list[Solid]:
+    steps = [box(6, 40 - 2 * i, 4.4, ACCENT, at=(8.0 - 1.5 * i, 0, 13 + 18 * i)) for i in range(5)]
+    return [
+        *steps,
+        box(12, 34, 5, ACCENT, at=(0, 0, 103.5)),
+        box(2, 42, 4, MAIN, at=(-8, 0, 24)),
+        *both_sides(
+            rod((8, 22, 0), (1, 15, 103), 3.4, MAIN, sides=4),
+            rod((-8, 22, 0), (-1, 15, 103), 2.8, MAIN, sides=4),
+        ),
+    ]
+
+
+def mug() -> list[Solid]:
+    wall = [(0, 0), (16, 0), (16, 9), (16, 22), (16, 34), (13.5, 34), (13, 6), (0, 6)]
+    handle = arc(10, -85, 85, 6, plane="yz", at=(0, 14.5, 17))
+    return [
+        lathe(wall, [MAIN, MAIN, ACCENT, MAIN, MAIN, DARK, DARK], sides=12),
+        tube(handle, 2.9, ACCENT, sides=5),
+    ]
+
+
+def pencil() -> list[Solid]:
+    shaft = [(0, 0), (1.9, 5), (6, 16), (6, 43), (6.6, 44), (6.6, 49), (6, 50), (6, 64), (4, 66)]
+    lead = lathe(shaft, [DARK, WOOD, MAIN, *[ACCENT] * 5], sides=6)
+    return [lead.turn("x", -45)]
+
+
+def pig() -> list[Solid]:
+    barrel = [(0, -27), (8, -25), (11.5, -15), (12, -3), (11.5, 9), (8.5, 17), (0, 20)]
+    body = lathe(barrel, [MAIN, MAIN, MAIN, ACCENT, MAIN, MAIN], sides=8)
+    tail = [(-26, 0, 25), (-31, 0, 28), (-33, 0, 25), (-31, 0, 23), (-30, 0, 26)]
+    return [
+        body.turn("y", 90).move(0, 0, 22),
+        ellipsoid((11, 9, 9.5), MAIN, at=(20, 0, 25), sides=7, rings=2),
+        cylinder(5.4, 7, ACCENT, sides=7, top=4.8).turn("y", 90).move(28, 0, 23),
+        tube(np.array(tail, dtype=float), 1.5, ACCENT, sides=3),
+        *both_sides(
+            slab([(13.0, 28.0), (22.0, 30.0), (20.0, 41.0)], 5, ACCENT, plane="xz", at=(0, 6, 0)),
+            block((6, 6), (8, 7), 14, ACCENT, at=(11, 6.5, 0)),
+            block((6, 6), (8, 7), 14, ACCENT, at=(-16, 6.5, 0)),
+            box(2, 2.4, 3, DARK, at=(28, 4.4, 29)),
+        ),
+    ]
+
+
+def pincer() -> list[Solid]:
+    jaw = [(0, -1.5, 22), (0, 3, 27), (0, 5, 32), (0, 4.6, 38), (0, 0.9, 44)]
+    handle = [(0, 1.5, 24), (0, -2.4, 17), (0, -4.8, 8), (0, -5, 0)]
+    return [
+        *both_sides(
+            tube(np.array(jaw, dtype=float), [1.2, 1.8, 1.9, 1.8, 1.2], MAIN, sides=4),
+            tube(np.array(handle, dtype=float), [1.2, 1.5, 1.8, 1.8], ACCENT, sides=4),
+        ),
+        cylinder(2.4, 4, DARK, sides=6).turn("y", 90).move(-2, 0, 23.5),
+    ]
+
+
+def plant() -> list[Solid]:
+    leaf = [
+        (0.0, -1.6),
+        (9.0, -5.0),
+        (15.0, -4.2),
+        (21.0, 0.0),
+        (15.0, 4.2),
+        (9.0, 5.0),
+        (0.0, 1.6),
+    ]
+    pot = [(0, 0), (8.5, 0), (10.5, 11), (12, 11), (12, 16), (0, 16)]
+    blades = [(20, -32), (92, -48), (164, -30), (236, -46), (308, -36), (60, -80)]
+    return [
+        lathe(pot, [*[MAIN] * 4, DARK], sides=8),
+        *(
+            slab(leaf, 2.6, ACCENT).turn("y", tilt).turn("z", angle).move(0, 0, 15)
+            for angle, tilt in blades
+        ),
+    ]
+
+
+def saxophone() -> list[Solid]:
+    path = [
+        (-18, 55), (-14, 60), (-8, 62), (-4.5, 57), (-4, 44), (-4, 28), (-3.4, 13), (1, 5),
+        (8, 4.5), (12, 12), (13, 24), (14, 34),
+    ]  # fmt: skip
+    radii = [1.8, 2.0, 2.0, 2.3, 2.8, 3.4, 4.1, 4.6, 4.7, 4.6, 5.2, 7.6]
+    parts = [*[ACCENT] * 3, *[MAIN] * 6, *[ACCENT] * 2]
+    return [
+        tube(np.array([(0, y, z) for y, z in path], dtype=float), radii, parts, sides=6),
+        *(box(7, 5, 4, ACCENT, at=(0, -7.4, z)) for z in (20, 30, 40)),
+    ]
+
+
+def shoe() -> list[Solid]:
+    upper = [(-28, 5), (29, 5), (29, 12), (22, 17), (6, 21), (-3, 35), (-25, 35), (-29, 22)]
+    sole = [(-30, -9), (-24, -12), (8, -13), (24, -11), (30, -5)]
+    outline = [*sole, *((x, -y) for x, y in sole[::-1])]
+    flash = [(-24.0, 9.0), (-12.0, 9.0), (4.0, 19.0), (-2.0, 27.0)]
+    return [
+        slab(upper, 20, MAIN, plane="xz"),
+        slab(outline, 7, ACCENT, at=(0, 0, 3.5)),
+        slab(flash, 22, ACCENT, plane="xz"),
+        box(17, 14, 2, DARK, at=(-14, 0, 34.4)),
+        *(box(3.4, 16, 3, ACCENT, at=(x, 0, z)).turn("y", 0) for x, z in ((9, 20.6), (15, 19))),
+        box(7, 21, 6, ACCENT, at=(26.5, 0, 9)),
+    ]
+
+
+def spoon() -> list[Solid]:
+    handle = [(2.0, 0.0, 0.0), (1.4, 0.0, 10.0), (0.0, 0.0, 26.0), (0.6, 0.0, 36.0)]
+    return [
+        ellipsoid((2.4, 6.5, 10), MAIN, at=(0, 0, 41), sides=8, rings=3),
+        tube(np.array(handle), [2.4, 2.2, 1.8, 1.8], [ACCENT, ACCENT, MAIN], sides=5).stretch(
+            y=1.5
+        ),
+    ]
+
+
+def suitcase() -> list[Solid]:
+    return [
+        box(26, 64, 44, MAIN, at=(0, 0, 23)),
+        box(16, 66, 26, ACCENT, at=(0, 0, 23)),
+        *(box(28, 12, 45.6, ACCENT, at=(0, y, 23)) for y in (-19.0, 19.0)),
+        tube(arc(12, 0, 180, 6, plane="yz", at=(0, 0, 42)), 2.4, ACCENT, sides=5),
+        *both_sides(
+            box(8, 10, 3, DARK, at=(0, 26, 1)),
+            box(3, 8, 7, DARK, at=(13, 19, 38)),
+        ),
+    ]
+
+
+def tennis_racket() -> list[Solid]:
+    loop = circle(1.0, 14)[:, [2, 0, 1]] * (0, 10.2, 15) + (0, 0, 43)
+    strings = []
+    for offset in (-0.5, 0.0, 0.5):
+        reach = float(np.sqrt(1 - offset**2))
+        y, z = 10.2 * reach, 15 * reach
+        strings.append(
+            rod((0, 10.2 * offset, 43 - z), (0, 10.2 * offset, 43 + z), 0.8, ACCENT, sides=3)
+        )
+        strings.append(
+            rod((0, -y, 43 + 15 * offset), (0, y, 43 + 15 * offset), 0.8, ACCENT, sides=3)
+        )
+    return [
+        tube(loop, 1.9, MAIN, sides=4, closed=True),
+        *strings,
+        *both_sides(rod((0, 6, 31), (0, 0.4, 19), 1.5, MAIN, sides=4)),
+        block((4, 6), (4, 4.6), 21, ACCENT),
+    ]
+
+
+def tomato() -> list[Solid]:
+    def ring(radius: float, z: float) -> np.ndarray:
+        points = circle(radius, 12, z)
+        points[1::2, :2] *= 0.93
+        return points
+
+    flesh = [(8, 0), (15, 4), (17, 11), (15, 18), (9, 21)]
+    calyx = circle(19, 10, 14.5, start=9)
+    calyx[1::2] = calyx[1::2] * (0.5, 0.5, 1) + (0, 0, 9.4)
+    return [
+        loft([[(0, 0, 1)], *(ring(*row) for row in flesh), [(0, 0, 19)]]),
+        loft([[(0, 0, 17)], calyx, [(0, 0, 24.5)]], ACCENT),
+        rod((0, 0, 22), (1, 0, 27), 1.8, ACCENT, sides=4),
+    ]
+
+
+def toothbrush() -> list[Solid]:
+    shaft = [(0, 0, 0), (0, 0, 14), (0, 0, 36), (0, 0, 44), (0, 0, 53)]
+    parts = [ACCENT, ACCENT, ACCENT, MAIN]
+    tuft = block((6, 8), (5.4, 7), 12, MAIN).turn("x", -90)
+    brush = [
+        tube(np.array(shaft, dtype=float), [3.4, 4.0, 3.6, 2.6, 2.8], parts, sides=6),
+        box(6.6, 6, 28, MAIN, at=(0, 0, 65)),
+        *(tuft.move(0, 2, 56 + 9.0 * i) for i in range(3)),
+    ]
+    return [solid.turn("x", 20) for solid in brush]
+
+
+def tree() -> list[Solid]:
+    tiers = [(24, 13, 31, MAIN), (19.5, 25, 42, ACCENT), (14, 36, 52, MAIN)]
+    return [
+        cylinder(7, 16, ACCENT, sides=7, top=6),
+        *(cone(r, top - low, part, at=(0, 0, low), sides=9) for r, low, top, part in tiers),
+    ]
+
+
+def tv() -> list[Solid]:
+    back = block((36, 48), (26, 34), 16, ACCENT).turn("y", -90).move(-4, 0, 31)
+    return [
+        box(25, 57, 42, MAIN, at=(8, 0, 31)),
+        back,
+        box(3, 50, 35, ACCENT, at=(19.5, 0, 31)),
+        box(2, 34, 27, DARK, at=(20.8, -5, 31)),
+        *(box(3, 6, 6, MAIN, at=(21, 18, z)) for z in (38, 28)),
+        *both_sides(
+            rod((2, 1, 51), (2, 20, 70), 1.7, ACCENT, sides=4),
+            rod((16, 18, 12), (18, 23, 0), 3, ACCENT, sides=4),
+            rod((0, 18, 12), (-4, 23, 0), 3, ACCENT, sides=4),
+        ),
+    ]
+
+
+def wine_glass() -> list[Solid]:
+    glass = [
+        (0, 0), (12, 0), (12, 3), (3.6, 7), (3, 23), (6, 26), (12, 34), (12.5, 43), (10, 54),
+        (9, 54), (10.5, 44), (0, 40),
+    ]  # fmt: skip
+    return [lathe(glass, [*[ACCENT] * 4, *[MAIN] * 5, ACCENT, ACCENT])]
+
+
+def zebra() -> list[Solid]:
+    trunk = np.array([(x, 0, 42) for x in (-31, -23, -15, -7, 1, 9, 16)], dtype=float)
+    stripes = [MAIN, ACCENT] * 3
+    neck = np.array([(12, 0, 44), (17, 0, 51), (21, 0, 57), (25, 0, 63), (28, 0, 68)], dtype=float)
+    mane = [(7.0, 53.0), (14.0, 51.0), (29.0, 72.0), (24.0, 75.0)]
+
+    def leg(x: float) -> Solid:
+        path = [(x, 5.4, 38.0), (x, 5.4, 20.0), (x, 5.4, 0.0)]
+        return tube(path, [4.2, 4.0, 3.8], [MAIN, ACCENT], sides=4)
+
+    return [
+        tube(trunk, [7, 9.6, 9.8, 9.6, 9.6, 9.4, 6], stripes, sides=5),
+        tube(neck, [8, 7, 6.2, 5.8, 5], [ACCENT, MAIN, ACCENT, MAIN], sides=4),
+        slab(mane, 4, ACCENT, plane="xz"),
+        block((9, 9), (7, 7), 15, MAIN).turn("y", 112).move(25, 0, 68),
+        box(6, 8, 7, ACCENT, at=(40, 0, 61)),
+        rod((-30, 0, 46), (-38, 0, 28), 1.8, ACCENT, sides=4),
+        *both_sides(
+            rod((27, 4, 71), (26, 6, 77), 2.2, MAIN, sides=4, end_radius=0),
+            leg(-24),
+            leg(10),
+        ),
+    ]
+
+
 OBJECTS = {
     "apple2": (apple2, (40, 39, 37)),
     "ball": (ball, (36, 36, 36)),
@@ -316,5 +561,23 @@ OBJECTS = {
     "ice_lolly": (ice_lolly, (16, 28, 62)),
     "jug": (jug, (28, 33, 41)),
     "key": (key, (7, 35, 62)),
+    "knife": (knife, (4, 6, 53)),
+    "ladder": (ladder, (20, 50, 106)),
+    "mug": (mug, (32, 43, 34)),
+    "pencil": (pencil, (11, 54, 54)),
+    "pig": (pig, (68, 23, 39)),
+    "pincer": (pincer, (4, 12, 45)),
+    "plant": (plant, (30, 34, 34)),
+    "saxophone": (saxophone, (13, 37, 64)),
+    "shoe": (shoe, (60, 26, 35)),
+    "spoon": (spoon, (4, 13, 51)),
+    "suitcase": (suitcase, (28, 66, 56)),
+    "tennis_racket": (tennis_racket, (4, 24, 60)),
+    "tomato": (tomato, (34, 33, 27)),
+    "toothbrush": (toothbrush, (7, 41, 74)),
+    "tree": (tree, (48, 48, 52)),
+    "tv": (tv, (41, 57, 71)),
+    "wine_glass": (wine_glass, (25, 25, 54)),
+    "zebra": (zebra, (83, 18, 75)),
 }
 """The makers by name, with the size along x, y and z in hundredths of a metre."""
