@@ -398,9 +398,9 @@ def test_scores_in_different_units_do_not_share_a_table(tmp_path: Path) -> None:
 def test_the_caption_says_what_the_error_is(tmp_path: Path) -> None:
     write_tasks(tmp_path, np.random.default_rng(0), spread="tasks")
     assert grids.legend([only_table(tmp_path)])[0] == (
-        "A score is the median over the evaluations in the window, of the median seed, for each "
-        "level, then the mean over the levels of a kind, weighted by the split, ± standard error "
-        "across these levels (tasks)."
+        "A score is, for each level, the median over seeds of each seed's median over the "
+        "evaluations in the window, then the mean over the levels of a kind, weighted by the "
+        "split, ± standard error across these levels (tasks)."
     )
 
 

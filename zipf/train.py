@@ -22,6 +22,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 import zipf
+from zipf.envs.arguments import mapping
 from zipf.errors import EXPECTED, UserError, tell
 from zipf.experiments.building import loading
 from zipf.experiments.options import catalogue, command_line, composing, config_files
@@ -103,7 +104,8 @@ def train(
         KeyboardInterrupt: it was interrupted.
         SystemExit: SIGTERM or a signal of a cluster has ended it, with a checkpoint.
     """
-    words = [f"{name}={_text(value)}" for name, value in {**chosen, **(options or {})}.items()]
+    dotted = mapping("options", options)
+    words = [f"{name}={_text(value)}" for name, value in {**chosen, **dotted}.items()]
     config_files.use_folder(config_dir)
     config = loading.load(words)
     flags = [] if config_dir is None else ["--config-dir", str(config_dir)]

@@ -232,7 +232,9 @@ def register(family: Family) -> Family:
     """
     _check_fields(family)
     if family.name in _FAMILIES:
-        raise ValueError(f"there is a family {family.name!r} already")
+        raise ValueError(
+            f"there is a family {family.name!r} already: give another name, or restart Python"
+        )
     splits = [*all_splits(), *(split.name for split in family.splits)]
     for split in family.splits:
         if splits.count(split.name) > 1:

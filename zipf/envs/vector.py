@@ -174,7 +174,8 @@ class ZipfVectorEnv(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             )
         drawn = self.metadata.get("render_modes") or []
         if render_mode is not None and render_mode not in drawn:
-            known = f"one of {drawn} or None" if drawn else "None: these envs draw no pictures"
+            none = "None: these envs draw no pictures (their `metadata` has no `render_modes`)"
+            known = f"one of {drawn} or None" if drawn else none
             raise ValueError(f"render_mode must be {known}, got {render_mode!r}")
         self.num_envs = num_envs
         self.single_observation_space = single_observation_space

@@ -55,7 +55,10 @@ def find_checkpoint(config: Config) -> dict[str, Any] | None:
     with fits(path):
         update = saved["update"]
     if update > config.updates:
-        raise UserError(f"{path}: is at update {update}, past updates={config.updates}")
+        raise UserError(
+            f"{path}: is at update {update}, past updates={config.updates}; give more, or another "
+            "name or run_root"
+        )
     if update == config.updates and ends_at(config.folder / "evaluations.csv", update):
         saved["evaluated"] = update  # the evaluation that ends a run comes after its checkpoint
     return saved
@@ -318,11 +321,20 @@ def read_description(folder: Path) -> dict[str, Any]:
     path = folder / "run.json"
     try:
         if not path.is_file():
-            raise UserError(f"{folder}: is no run's folder (it has no run.json)")
+            raise UserError(f"{folder}: is no run's folder ({_no_run(folder)})")
     except OSError as error:
         raise UserError(f"{folder!s:.200}: cannot be read: {error.strerror}") from None
     results.read_description(path)
     return json.loads(path.read_text(encoding="utf-8-sig"))
+
+
+def _no_run(folder: Path) -> str:
+    if folder.is_file():
+        return f"it is a file; its folder: {folder.parent}"
+    if not folder.exists():
+        return "there is no such folder"
+    below = sorted(path.parent for path in folder.glob("*/run.json"))
+    return "it has no run.json" + (f"; did you mean {below[0]}?" if below else "")
 
 
 def other_images(folder: Path) -> str | None:

@@ -66,7 +66,8 @@ def record(
     The folder becomes a run's folder with `run.json`, `evaluations.csv` and `situations.csv`, and
     is marked as external: no configuration of our agents belongs to it, and there is no agent in
     it to evaluate or play. Call this again with other `frames` as training goes on for a learning
-    curve; the same `update` again replaces its evaluation. Every seed has a folder of its own.
+    curve, in any order; the same `update` again replaces its evaluation, and all others stay. Every
+    agent and every seed has a folder of its own.
 
     The row stands in the table of the runs of the same experiment, split and constructor options,
     with the score of its last evaluation.
@@ -252,9 +253,7 @@ def _recorded_levels(
         given = description["external"]["env_options"].items()
         external = {"env_options": {name: one for name, one in given if name not in new}}
         here = {**description, "external": {**description["external"], **external}}
-        differing = [
-            f"{key} {there[key]} there, {here[key]} here" for key in same if there[key] != here[key]
-        ]
+        differing = [line for key in same for line in _differences(key, there[key], here[key])]
     except (OSError, ValueError, KeyError, TypeError):
         raise UserError(f"{path}: is not a run's description; choose another folder") from None
     if differing:
@@ -262,6 +261,18 @@ def _recorded_levels(
             f"{folder}: holds another record ({'; '.join(differing)}); choose another folder"
         )
     return levels
+
+
+def _differences(name: str, there: Any, here: Any) -> list[str]:
+    """What differs between two nests of dictionaries."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        keys = dict.fromkeys([*there, *here])
+        return [
+            line
+            for key in keys
+            for line in _differences(f"{name}.{key}", there.get(key), here.get(key))
+        ]
+    return [] if there == here else [f"{name} {there} there, {here} here"]
 
 
 def _with_rows(path: Path, update: int, rows: Sequence[Mapping[str, Any]]) -> str:

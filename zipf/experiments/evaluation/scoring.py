@@ -220,6 +220,9 @@ def as_split(split: Any) -> envs.Split:
     """
     if isinstance(split, envs.Split):
         return split
+    if isinstance(split, envs.Family):
+        names = ", ".join(map(repr, split.split_names))
+        raise ValueError(f"split must be a split's name, got a Family: it has {names}")
     if not isinstance(split, str):
         raise ValueError(
             f"split must be a split's name or a zipf.envs.Split, got a {type(split).__name__}"

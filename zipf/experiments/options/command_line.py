@@ -344,7 +344,7 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
                 known.append(text)
                 experiment = value if key == "experiment" else experiment
             else:
-                own = "; for a name of your own, use name=<name>" if key == "condition" else ""
+                own = " For a name of your own, use name=<name>" if key == "condition" else ""
                 hint = nearest(value, choices(key))
                 problems.append(f"{key}={value}: no such {key}; {hint}{own}")
         else:
@@ -357,7 +357,10 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
             problems.append("sweep: is of many runs: python -m zipf.train -m sweep=<name>")
         if not {*keys, *hints.values()} & {"experiment", "sweep"}:
             experiments = "|".join(choices("experiment"))
-            problems.append(f"experiment is not set; choose one: experiment={experiments}")
+            problems.append(
+                f"experiment is not set; choose one: experiment={experiments}, or write one of "
+                "your own and give its folder: --config-dir"
+            )
         return known, problems
     problems += _unknown_sections(known)
     values = composed(*known).values

@@ -342,7 +342,10 @@ def _refuse_duplicates(runs: Sequence[Run]) -> None:
                 for name, texts in differences([seen[key], run]).lines
             ]
             if not options:
-                raise UserError(f"{both} are the same run twice: {what}")
+                raise UserError(
+                    f"{both} are the same run twice: {what}; leave one out, or give one "
+                    "another seed= or name="
+                )
             shown = ", ".join(options[:5]) + (" and more" if len(options) > 5 else "")
             raise UserError(
                 f"{both} are both {what}, but by config.yaml they differ in {shown}: train one of "

@@ -72,10 +72,10 @@ def short_caption(table: ScoreTable) -> str:
         else "median absolute deviation across seeds"
     )
     if table.unreached is not None:
-        return f"Last evaluations (window not reached); median seed ± {spread}."
+        return f"Last evaluations (window not reached); median over seeds ± {spread}."
     what = window_text(table.window)
     marked = f" {LAST_MARK}: last evaluation (window not reached)."
-    return f"{what[0].upper()}{what[1:]}; median seed ± {spread}." + (
+    return f"{what[0].upper()}{what[1:]}; median over seeds ± {spread}." + (
         marked if table.scores["marked"].any() else ""
     )
 
@@ -87,17 +87,17 @@ def legend(tables: Sequence[ScoreTable]) -> list[str]:
     seeds = [table for table in tables if table not in tasks]
     if seeds:
         sentences.append(
-            "A score is the median over the evaluations in the window, of the median seed, ± "
-            "median absolute deviation across seeds (unscaled)."
+            "A score is the median over seeds of each seed's median over the evaluations in the "
+            "window, ± median absolute deviation across seeds (unscaled)."
         )
         if any(len(levels.weights) > 1 for table in seeds for levels in table.kinds):
             sentences.append("The score of several levels is their mean, weighted by the split.")
     if tasks:
         of_tasks = f": {', '.join(table.title for table in tasks)}" if seeds else ""
         sentences.append(
-            "A score is the median over the evaluations in the window, of the median seed, for "
-            "each level, then the mean over the levels of a kind, weighted by the split, ± "
-            f"standard error across these levels (tasks){of_tasks}."
+            "A score is, for each level, the median over seeds of each seed's median over the "
+            "evaluations in the window, then the mean over the levels of a kind, weighted by the "
+            f"split, ± standard error across these levels (tasks){of_tasks}."
         )
     if any(levels.is_weighted for table in tables for levels in table.kinds):
         sentences.append(f"In a {PLAIN_MEAN} all levels have the same weight.")
