@@ -176,7 +176,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
     for other, told in (
         ({"seed": 1}, "seed 0 there, 1 here"),
         ({"name": "Others"}, "condition Theirs there, Others here"),
-        ({"max_steps": 8}, "environment"),
+        ({"max_steps": 8}, r"environment.max_steps \S+ there, 8 here; external.env_options"),
     ):
         with pytest.raises(UserError, match=f"holds another record .*{told}"):
             recorded(tmp_path / "seed0", **other)

@@ -151,6 +151,8 @@ def test_training_tells_all_mistakes_at_once():
     first, second = str(caught.value).splitlines()
     assert first == "seeed: no such option; did you mean seed or sweep?"
     assert second == "agent.lerning_rate: no such option; did you mean agent.learning_rate?"
+    with pytest.raises(ValueError, match="options must be a mapping, got 'seed=1'"):
+        zipf.train(experiment="demo", options="seed=1")
 
 
 @pytest.mark.parametrize(

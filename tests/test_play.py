@@ -430,7 +430,7 @@ def test_a_folder_is_no_recording(tmp_path):
         ("level=gridworld/rare size=1280", "size=1280: should be <width>x<height> such as 1280x96"),
         ("level=gridworld/rare size=1280x9", "each 64 to 4096 pixels"),
         ("level=gridworld/rare policy=random record=x.gif episodes=0", "greater than or equal"),
-        ("run=nowhere", "nowhere: is no run's folder"),
+        ("run=nowhere", "nowhere: is no run's folder \\(there is no such folder"),
         ("level=gridworld/rare", "no screen: .*record=FILE.gif"),
         ("level=gridworld/rare screen=terminal", "are not a terminal"),
         ("level=gridworld/rare screen=window", "needs a display.*use screen=terminal"),
@@ -443,6 +443,19 @@ def test_mistakes_are_told_in_a_line(arguments, message, tmp_path, monkeypatch):
     with pytest.raises(UserError, match=message):
         play(*arguments.split())
     assert not list(tmp_path.iterdir())
+
+
+def test_what_is_no_run_says_what_it_is(tmp_path):
+    (tmp_path / "runs" / "seed0").mkdir(parents=True)
+    (tmp_path / "runs" / "seed0" / "run.json").touch()
+    (tmp_path / "empty").mkdir()
+    for name, why in (
+        ("empty", r"it has no run.json\)"),
+        ("runs", r"it has no run.json; did you mean .*seed0\?\)"),
+        ("runs/seed0/run.json", r"it is a file; its folder: .*seed0\)"),
+    ):
+        with pytest.raises(UserError, match=rf"{name}: is no run's folder \({why}"):
+            play(f"run={tmp_path / name}")
 
 
 def test_a_missing_screen_is_said_before_envs_are_made(monkeypatch):
