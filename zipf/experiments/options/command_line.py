@@ -344,9 +344,9 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
                 known.append(text)
                 experiment = value if key == "experiment" else experiment
             else:
-                own = " For a name of your own, use name=<name>" if key == "condition" else ""
+                own = " (a name of your own: name=<name>)" if key == "condition" else ""
                 hint = nearest(value, choices(key))
-                problems.append(f"{key}={value}: no such {key}; {hint}{own}")
+                problems.append(f"{key}={value}: no such {key}{own}; {hint}")
         else:
             options.append(override)
     if not any(text.startswith("experiment=") for text in known):
