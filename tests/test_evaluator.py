@@ -215,6 +215,7 @@ def test_bad_requests():
         ({"split": envs.find_family("gridworld")}, "got a Family: it has 'gridworld', "),
         ({"level": "gridworld/rare"}, "level='gridworld/rare' is no option here"),
         ({"autoreset_mode": "Disabled"}, "autoreset_mode='Disabled' is no option here"),
+        ({"episode": 3}, r"unknown gridworld option 'episode' \(did you mean 'episodes'"),
         ({"num_map": 3}, r"unknown gridworld option 'num_map' \(did you mean 'num_maps'"),
     ],
 )

@@ -101,7 +101,7 @@ def record(
     )
 
     split = as_split(split)
-    check_options(level_options)
+    check_options(split, level_options)
     folder = Path(folder)
     frames = _whole("frames", frames, 0, MOST_FRAMES)
     update = frames if update is None else _whole("update", update, 0, MOST_FRAMES)

@@ -168,7 +168,7 @@ def score(
         TypeError: the policy cannot be called.
     """
     split = as_split(split)
-    check_options(level_options)
+    check_options(split, level_options)
     seed = whole("seed", seed, 0)
     observation_space, action_space = _spaces(split, level_options)
     played = env_options(split, **level_options)
@@ -230,14 +230,19 @@ def as_split(split: Any) -> envs.Split:
     return envs.split(split)
 
 
-def check_options(level_options: Mapping[str, Any]) -> None:
-    """Raises ValueError for names that `score` needs itself."""
+def check_options(split: envs.Split, level_options: Mapping[str, Any]) -> None:
+    """Raises ValueError for names that `score` needs itself, or that no level has as an option."""
     for name in ("level", "autoreset_mode"):
         if name in level_options:
             raise ValueError(
                 f"{name}={level_options[name]!r} is no option here: a split has its levels, and "
                 "environments are reset in the step that ends an episode"
             )
+    own = "episodes", "num_envs", "seed", "batched", "details"  # that a name may be meant for
+    for level in split.all_levels:
+        if isinstance(level.level, str):
+            family, _ = envs.find_level(level.level)
+            family.check_options(level_options, *own, "copy", "render_mode")
 
 
 def _spaces(
