@@ -166,36 +166,21 @@ class PrioritySampler(Sampler):
         return last - (last - places) % length
 
 
-class DeviceSampler(Sampler):
-    """`PrioritySampler` of a ring without spare slots, on a device for which the host never waits:
-    the same draws, up to rounding, and the same `state_dict()`."""
+class DeviceSampler(PrioritySampler):
+    """The sampler of a ring without spare slots, on a device for which the host never waits: the
+    same draws, up to rounding, and the same `state_dict()`."""
 
-    def __init__(
-        self,
-        capacity: int,
-        *,
-        priority_exponent: float,
-        importance_exponent: float,
-        seed: int,
-        device: torch.device,
-    ):
-        self.capacity = capacity
-        self.priority_exponent = priority_exponent
-        self.importance_exponent = importance_exponent
-        self.generator = torch.Generator().manual_seed(seed)  # of the host
+    def __init__(self, capacity: int, *, device: torch.device, **sampling: Any):
         self.device = device
-        self._empty()
-
-    def __len__(self) -> int:
-        return min(self.inserted, self.capacity)
+        self.leaves: Tensor  # float64, up to a power of two
+        self.largest: Tensor  # `max_priority`, float64 []
+        super().__init__(capacity, capacity, **sampling)
 
     def extend(self, index: Tensor) -> None:
-        """As `PrioritySampler.extend`."""
-        self.leaves[index] = self.max_priority**self.priority_exponent
+        self.leaves[index] = self.largest**self.priority_exponent
         self.inserted += len(index)
 
     def sample(self, storage: Any, batch_size: int) -> tuple[Tensor, dict[str, Tensor]]:
-        """Slots int64 [N], and `weight` float32 [N]."""
         levels = [self.leaves]
         while len(levels[-1]) > 1:
             levels.append(levels[-1].view(-1, 2).sum(-1))
@@ -212,41 +197,29 @@ class DeviceSampler(Sampler):
         return node, {"weight": (weight / weight.max()).float()}
 
     def update_priority(self, index: Any, priority: Any, *, storage: Any = None) -> None:
-        """The priorities float [N] of slots int64 [N]."""
         priorities = priority.double().clamp(min=SMALLEST_PRIORITY)
         self.leaves[index] = priorities**self.priority_exponent
-        self.max_priority.copy_(torch.maximum(self.max_priority, priorities.max()))
+        self.largest.copy_(torch.maximum(self.largest, priorities.max()))
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that the next draw depends on."""
         return {
             "inserted": self.inserted,
-            "max_priority": float(self.max_priority),
+            "max_priority": float(self.largest),
             "leaves": self.leaves[: self.capacity].cpu().clone(),
             "generator": self.generator.get_state(),
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Continues from `state_dict()`."""
-        self._empty()
         self.inserted = state_dict["inserted"]
-        self.max_priority.fill_(state_dict["max_priority"])
+        self.largest.fill_(state_dict["max_priority"])
         self.leaves[: self.capacity] = state_dict["leaves"].to(self.device)
         self.generator.set_state(state_dict["generator"])
-
-    def dumps(self, path: Any) -> None:
-        """Writes a file into the folder `path`."""
-        torch.save(self.state_dict(), Path(path) / "sampler.pt")
-
-    def loads(self, path: Any) -> None:
-        """Reads what `dumps` wrote."""
-        self.load_state_dict(torch.load(Path(path) / "sampler.pt"))
 
     def _empty(self) -> None:
         size = 1 << (self.capacity - 1).bit_length()
         self.inserted = 0
         self.leaves = torch.zeros(size, dtype=torch.float64, device=self.device)
-        self.max_priority = torch.ones((), dtype=torch.float64, device=self.device)
+        self.largest = torch.ones((), dtype=torch.float64, device=self.device)
 
     def _offsets(self, count: int) -> Tensor:
         offsets = torch.rand(count, generator=self.generator, dtype=torch.float64)
