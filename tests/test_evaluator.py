@@ -195,6 +195,12 @@ def test_situations_have_the_ranks_that_all_levels_have():
     assert table["map"].tolist() == [0, 1, 0, 1]
 
 
+def test_score_takes_what_make_vec_takes():
+    how = {"copy": False, "render_mode": None, "threads": 1, "processes": None}
+    plain = evaluate.score(scripted, episodes=4, num_envs=2, **SMALL)
+    assert evaluate.score(scripted, episodes=4, num_envs=2, **SMALL, **how) == plain
+
+
 def test_bad_requests():
     with pytest.raises(ValueError, match="episodes must be at least 1, got 0"):
         evaluate.score(scripted, episodes=0)

@@ -245,6 +245,10 @@ def test_a_rank_that_cannot_be_is_refused(
     change_description(folder, situation={"target": 20})
     message = refusal(capsys, str(tmp_path))
     assert "situations.csv, line 1: column map, but run.json's situation has target" in message
+    change_description(folder, situation={"map{.x}": 20, "target": 20})  # a name of one's own
+    table = folder / "situations.csv"
+    table.write_text(table.read_text().replace("map", "map{.x}"))
+    assert "line 2: map{.x} 20, but by run.json" in refusal(capsys, str(tmp_path))
 
 
 def test_a_run_without_evaluations_is_noted(tmp_path: Path) -> None:

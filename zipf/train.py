@@ -101,6 +101,7 @@ def train(
     Raises:
         UserError: a line for every mistake in the options; or the run cannot begin, go on or be
             written; or another one is training in this process.
+        ValueError: `options` is no mapping.
         KeyboardInterrupt: it was interrupted.
         SystemExit: SIGTERM or a signal of a cluster has ended it, with a checkpoint.
     """
@@ -264,7 +265,7 @@ def _explain(asked: list[str], overrides: list[str]) -> None:
     """Prints where options come from. Raises `UserError` for mistakes."""
     from zipf.experiments.building import run_folder
     from zipf.experiments.options import explaining
-    from zipf.experiments.records import results
+    from zipf.experiments.records.descriptions import read_description
 
     folders = [
         word
@@ -282,7 +283,7 @@ def _explain(asked: list[str], overrides: list[str]) -> None:
             )
         folder = Path(folders[0])
         config = run_folder.read_config(folder, command_line.plugins_of(overrides))
-        command = results.read_description(folder / "run.json").last_command or ""
+        command = read_description(folder / "run.json").last_command or ""
         origins = explaining.explain_run(config, command, folder / "config.yaml")
     else:
         if len(jobs := sweeps.check(overrides).jobs) > 1:

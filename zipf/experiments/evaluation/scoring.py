@@ -239,10 +239,11 @@ def check_options(split: envs.Split, level_options: Mapping[str, Any]) -> None:
                 "environments are reset in the step that ends an episode"
             )
     own = "episodes", "num_envs", "seed", "batched", "details"  # that a name may be meant for
+    made = "copy", "render_mode", "threads", "processes"  # of `envs.make_vec`
     for level in split.all_levels:
         if isinstance(level.level, str):
             family, _ = envs.find_level(level.level)
-            family.check_options(level_options, *own, "copy", "render_mode")
+            family.check_options(level_options, *own, *made)
 
 
 def _spaces(

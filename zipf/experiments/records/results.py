@@ -277,11 +277,13 @@ def _evaluations(path: Path, texts: pd.DataFrame, description: RunDescription) -
     for level_kind in KINDS:
         known = description.levels_of(level_kind).weights
         of_kind = rows[rows["level_kind"] == level_kind]
-        there = f"by run.json the run has {', '.join(known) or 'none of this kind'}"
-        unknown = of_kind[~of_kind["level"].isin(known)]
-        _refuse(path, unknown, "{level_kind} level {level!r}", f"; {there}")
-    again = rows[rows.duplicated(["update", "level_kind", "level"])]
-    _refuse(path, again, "{level} at update {update} a second time")
+        for where, row in _first(path, of_kind[~of_kind["level"].isin(known)]):
+            raise UserError(
+                f"{where}: {level_kind} level {row['level']!r}; by run.json the run has "
+                f"{', '.join(known) or 'none of this kind'}"
+            )
+    for where, row in _first(path, rows[rows.duplicated(["update", "level_kind", "level"])]):
+        raise UserError(f"{where}: {row['level']} at update {row['update']} a second time")
     return _in_order(rows)
 
 
@@ -311,24 +313,27 @@ def _situations(
                 f"{path.as_posix()}, line 1: column {name}, but run.json's situation has "
                 f"{', '.join(description.situation) or 'no rank'}"
             )
-        ranks = f"but by run.json the ranks are 0 to {size - 1}"
-        too_large = rows[rows[name] >= size]
-        _refuse(path, too_large, f"{name} {{{name}}}", f", {ranks}")
-    too_many = rows[rows["successes"] > rows["episodes"]]
-    _refuse(path, too_many, "{successes:g} successes of {episodes} episodes")
+        for where, row in _first(path, rows[rows[name] >= size]):
+            raise UserError(
+                f"{where}: {name} {row[name]}, but by run.json the ranks are 0 to {size - 1}"
+            )
+    for where, row in _first(path, rows[rows["successes"] > rows["episodes"]]):
+        raise UserError(f"{where}: {row['successes']:g} successes of {row['episodes']} episodes")
     return _in_order(rows), names
 
 
 def _check_kinds(path: Path, rows: pd.DataFrame) -> None:
-    known = f"expected one of {', '.join(KINDS)}"
-    wrong = rows[~rows["level_kind"].isin(KINDS)]
-    _refuse(path, wrong, "column level_kind has {level_kind!r}", f", {known}")
+    for where, row in _first(path, rows[~rows["level_kind"].isin(KINDS)]):
+        raise UserError(
+            f"{where}: column level_kind has {row['level_kind']!r}, "
+            f"expected one of {', '.join(KINDS)}"
+        )
 
 
-def _refuse(path: Path, wrong: pd.DataFrame, what: str, why: str = "") -> None:
-    """Raises `UserError` about the first of these rows, if there is any; `what` names columns."""
-    for line, row in zip(wrong.index, wrong.to_dict("records"), strict=True):
-        raise UserError(f"{path.as_posix()}, line {line}: {what.format_map(row)}{why}")
+def _first(path: Path, wrong: pd.DataFrame) -> Iterator[tuple[str, dict[Any, Any]]]:
+    """Where the first of these rows of a file is, and what it has; nothing where there is none."""
+    for line, row in wrong.head(1).to_dict("index").items():
+        yield f"{path.as_posix()}, line {line}", row
 
 
 def _in_order(rows: pd.DataFrame) -> pd.DataFrame:
