@@ -17,6 +17,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from zipf.agents import image_networks
 from zipf.agents.unroll import Unroll
 from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.training import runner
@@ -53,6 +54,13 @@ def naming(one: object) -> Iterator[None]:
 ANNOUNCED = (
     "zipf: code is compiled where it is first used: up to a minute, and kept for the next time\n"
 )
+
+
+@pytest.fixture
+def all_patches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Networks embed every patch of an image, as they do on a device, for what is recorded here in
+    the place of a graph."""
+    monkeypatch.setattr(image_networks, "distinct_patches", lambda image, patch: None)
 
 
 @pytest.fixture(autouse=True, scope="session")

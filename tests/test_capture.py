@@ -33,6 +33,8 @@ from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.training import runner
 
+pytestmark = pytest.mark.usefixtures("all_patches")
+
 ACTIONS, STEPS, BATCH = 3, 6, 4
 MEMORIES = {
     "mlp": MLPOptions(name="mlp", size=16, layers=1),

@@ -16,6 +16,8 @@ from zipf.experiments.training.build_collector import build_collector, build_ten
 from zipf.experiments.training.rollouts import SynchronousRollouts, TensorRollouts
 from zipf.registry import registries
 
+pytestmark = pytest.mark.usefixtures("all_patches")
+
 SMALL = ["name=x", "collector.num_envs=6", "collector.unroll_length=5", "environment.max_steps=9",
          "memory.size=16", "collector.lag=0"]  # fmt: skip
 FURTHER = {

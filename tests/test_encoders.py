@@ -11,9 +11,10 @@ import torch.nn.functional as F
 from networks import compact
 
 from zipf import envs
+from zipf.agents import image_networks
 from zipf.agents.auxiliary.reconstruction import InstructionDecoder, word_cross_entropy
 from zipf.agents.encoders import CodeEncoder, Encoder, InstructionEncoder, VectorEncoder
-from zipf.agents.image_networks import ResNet
+from zipf.agents.image_networks import ResNet, distinct_patches
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import ActorCritic, Inputs
 from zipf.agents.network_options import (
@@ -132,11 +133,13 @@ def test_patches_are_compared_by_the_cosines_of_their_keys():
             keys.append(key / max(float(key.norm()), 0.1))
         for i, j in itertools.product(range(6), range(6)):
             alike[n, i, j] = keys[i] @ keys[j]
-    patches = network.cut(image).float()
-    torch.testing.assert_close(network.cosines(patches, network.key), alike, atol=1e-4, rtol=0)
+    patches, place = network.cut(image)
+    assert place is None  # all patches but those of one colour differ
+    keys = network.placed(network.keys(patches, network.key), place)
+    torch.testing.assert_close(keys @ keys.transpose(1, 2), alike, atol=1e-4, rtol=0)
     torch.testing.assert_close(alike[0, 0], torch.zeros(6), atol=1e-4, rtol=0)
     assert alike[1, 0, 0] > 0.999
-    embedded = network.embedded(patches).unflatten(1, (6, -1))
+    embedded = network.placed(network.embedded(patches), place)
     sharpened = (network.sharpness * (alike - 1)).exp()
     grid = network.describe(torch.cat([embedded, sharpened], -1)).relu().view(3, 2, 3, -1)
     for convolution in network.convolutions:
@@ -150,7 +153,9 @@ def test_the_given_comparison_finds_what_the_cue_shows():
     env = envs.make_vec("gridworld/uniform", 20)
     image = torch.from_numpy(env.reset(seed=0)[0]["image"])
     network = Encoder(env.single_observation_space, comparing("given")).reader("image")
-    same = network.same(network.cut(image).float())
+    patches, place = network.cut(image)
+    looks = network.placed(network.look(patches), place)
+    same = (looks.unsqueeze(1) == looks.unsqueeze(2)) & (looks != 0).unsqueeze(1)
     tiles = envs.make_vec("gridworld/uniform", 20, observation="tiles")
     codes, _ = tiles.reset(seed=0)
     squares = torch.from_numpy(codes["tiles"].reshape(20, 49).astype(np.int64))
@@ -159,6 +164,61 @@ def test_the_given_comparison_finds_what_the_cue_shows():
     assert expected[:, 1:].any()
     assert torch.equal(same[:, 0, 1:], expected[:, 1:])
     assert torch.equal(same, same.transpose(1, 2))
+
+
+def repeated(n, patch, columns=4, kinds=3, channels=3):
+    """Images of 3 rows of patches, each of which is one of `kinds`, and which each is."""
+    kind = torch.randint(kinds, (n, 3, columns))
+    looks = torch.randint(0, 256, (kinds, patch, patch, channels)).byte()
+    image = looks[kind].permute(0, 1, 3, 2, 4, 5).reshape(n, 3 * patch, columns * patch, channels)
+    return image, kind.flatten(1)
+
+
+@pytest.mark.parametrize(("patch", "channels"), [(9, 3), (4, 3), (1, 1), (5, 4), (8, 1)])
+def test_patches_that_repeat_are_found_once(patch, channels):
+    torch.manual_seed(0)
+    image, kind = repeated(20, patch, channels=channels)
+    for given in (image, image.transpose(1, 2).contiguous().transpose(1, 2)):
+        patches, place = distinct_patches(given, patch)
+        assert patches.shape == (3, patch * patch * channels)
+        cut = image.unfold(1, patch, patch).unfold(2, patch, patch).permute(0, 1, 2, 4, 5, 3)
+        assert torch.equal(patches[place], cut.reshape(20, 12, -1))
+    assert torch.equal(place == place[0, 0], kind == kind[0, 0])
+
+
+def test_patches_that_hardly_repeat_are_not_gathered():
+    torch.manual_seed(0)
+    assert distinct_patches(images(5, 18, 27), 9) is None
+
+
+def test_patches_of_one_hash_are_told_apart():
+    """The two here have one: 2^63 times the sum of two odd weights is 0 in 64 bits."""
+    image = torch.zeros(10, 4, 8, 1).byte()
+    image[0, 1, 3] = image[0, 3, 3] = 128  # the last bytes of both words of a patch
+    assert distinct_patches(image, 4) is None
+    patches, place = distinct_patches(image[1:], 4)
+    assert len(patches) == 1
+    assert not place.any()
+
+
+@pytest.mark.parametrize("n", [4, 40])
+@pytest.mark.parametrize("options", [COMPACT, comparing("learned"), comparing("given")])
+def test_patches_that_repeat_are_encoded_as_any_others(options, n, monkeypatch):
+    """Outputs and gradients, for few and for many images of 12 patches."""
+    torch.manual_seed(0)
+    image, _ = repeated(n, 9)
+    network = Encoder(gym.spaces.Dict(image=image_space(27, 36)), options).reader("image")
+    results = []
+    for once in (True, False):
+        if not once:
+            monkeypatch.setattr(image_networks, "distinct_patches", lambda image, patch: None)
+        assert (network.cut(image)[1] is not None) == once
+        network.zero_grad()
+        output = network(image)
+        (output * torch.linspace(-1, 1, output.numel()).view_as(output)).sum().backward()
+        results.append([output, *(parameter.grad for parameter in network.parameters())])
+    for found, expected in zip(*results, strict=True):
+        torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-4)
 
 
 def test_the_resnet_reads_pixels_between_0_and_1():

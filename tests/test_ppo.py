@@ -22,6 +22,8 @@ from zipf.agents.ppo import PPO, PPOOptions, normalised
 from zipf.errors import UserError
 from zipf.experiments.building import loading
 
+pytestmark = pytest.mark.usefixtures("all_patches")
+
 ACTIONS, STEPS, BATCH = 3, 5, 6
 LSTM = LSTMOptions(name="lstm", size=16, layers=1)
 MEMORIES = {

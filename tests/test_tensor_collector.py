@@ -32,6 +32,8 @@ from zipf.experiments.training.rollouts import (
 )
 from zipf.experiments.training.tensor_collector import Tally
 
+pytestmark = pytest.mark.usefixtures("all_patches")
+
 ENVS, STEPS, LIMIT = 6, 9, 7
 SMALL = {"num_maps": 5, "num_rooms": [2, 2], "num_objects": 5, "max_steps": LIMIT}
 TINY = [

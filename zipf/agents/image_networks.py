@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -115,7 +116,8 @@ class PatchEncoder(nn.Module):
     """Patches, each embedded alike, then a dense layer: uint8 [N, H, W, C] -> [N, F].
 
     The stride-`patch` convolution is written as the matrix product it is, which is several times
-    faster on CPUs than the convolution routine.
+    faster on CPUs than the convolution routine. There, patches that show the same, as most do in a
+    world of tiles, are embedded once.
     """
 
     def __init__(self, shape: tuple[int, ...], options: CompactOptions):
@@ -134,21 +136,76 @@ class PatchEncoder(nn.Module):
         self.mix = nn.Linear(self.patches * options.channels, options.size)
 
     def forward(self, image: Tensor) -> Tensor:
-        patches = self.cut(image).to(compute_dtype(image))
-        return self.mix(self.embedded(patches)).relu()
+        patches, place = self.cut(image)
+        embedded = self.embedded(patches)
+        if place is not None and 2 * len(patches) <= len(image):
+            return self._mix_once(embedded, place).relu()
+        return self.mix(self.placed(embedded, place).flatten(1)).relu()
 
-    def cut(self, image: Tensor) -> Tensor:
-        """The patches of images: uint8 [N, H, W, C] -> [N, patches, pixels * C]."""
+    def cut(self, image: Tensor) -> tuple[Tensor, Tensor | None]:
+        """The patches of images uint8 [N, H, W, C], one image after another, and None; or, on a CPU
+        where they repeat, those that differ, and which of them is where, int64 [N, patches].
+
+        Patches are [K, pixels * C], in the dtype that the network computes in.
+        """
+        if image.device.type == "cpu" and not torch.compiler.is_compiling():
+            distinct = distinct_patches(image, self.patch)
+            if distinct is not None:
+                return distinct[0].to(compute_dtype(image)), distinct[1]
         n, height, width, channels = image.shape
         p = self.patch
-        patches = image.view(n, height // p, p, width // p, p * channels).transpose(2, 3)
-        return patches.reshape(n, -1, p * p * channels)
+        grid = image.view(n, height // p, p, width // p, p * channels).transpose(2, 3)
+        return grid.reshape(-1, p * p * channels).to(compute_dtype(image)), None
+
+    def placed(self, values: Tensor, place: Tensor | None) -> Tensor:
+        """What was computed of patches that were `cut`, where they are: [K, ...] -> [N, patches,
+        ...]."""
+        if place is not None:
+            values = values.index_select(0, place.flatten())
+        return values.unflatten(0, (-1, self.patches))
 
     def embedded(self, patches: Tensor) -> Tensor:
-        """[N, patches, pixels * C] -> [N, patches * channels]."""
+        """[K, pixels * C] -> [K, channels]."""
         # Scaling the weights instead of the pixels saves a pass over the largest tensor there is.
-        embedded = F.linear(patches, self.embed.weight / 255.0, self.embed.bias)
-        return embedded.relu().flatten(1)
+        return F.linear(patches, self.embed.weight / 255.0, self.embed.bias).relu()
+
+    def _mix_once(self, embedded: Tensor, place: Tensor) -> Tensor:
+        """`mix`, [K, channels] and [N, patches] -> [N, F]: what each patch adds at each place is
+        computed once, in float32, and summed."""
+        with torch.autocast("cpu", enabled=False):
+            weight = self.mix.weight.view(self.size, self.patches, -1).permute(1, 2, 0)
+            added = embedded.float() @ weight  # [patches, K, F]
+            rows = place + torch.arange(self.patches) * len(embedded)
+            summed = F.embedding_bag(rows, added.flatten(0, 1), mode="sum")
+            return (summed + self.mix.bias).to(embedded.dtype)
+
+
+def distinct_patches(image: Tensor, patch: int) -> tuple[Tensor, Tensor] | None:
+    """The patches of images on a CPU that differ, and which of them is where: uint8 [N, H, W, C]
+    -> uint8 [K, patch * patch * C], int64 [N, patches]; None where more than half of them differ.
+
+    They are found by a hash, and compared byte by byte: None, too, where different patches have the
+    same hash, which they hardly ever have.
+    """
+    n, height, width, channels = image.shape
+    rows, columns, line = height // patch, width // patch, patch * channels
+    # Lines of a patch are copied as items of as many bytes, which is three times as fast as bytes
+    # one by one. Words of 8 bytes are hashed and compared; the last is padded with zeros.
+    words = np.zeros((n, rows, columns, -(-patch * line // 8)), np.int64)
+    lines = np.ndarray((*words.shape[:3], patch), f"V{line}", words, 0, (*words.strides[:3], line))
+    pixels = image.contiguous().numpy().reshape(n, rows, patch, columns * line)
+    lines[...] = pixels.view(f"V{line}").swapaxes(2, 3)
+    words = words.reshape(n * rows * columns, -1)
+    weights = np.random.default_rng(0).integers(2**63, size=words.shape[1]) * 2 + 1
+    hashes, place = torch.unique(torch.from_numpy(words @ weights), return_inverse=True)
+    if 2 * len(hashes) > len(words):
+        return None
+    one = torch.empty_like(hashes)  # of each hash
+    one[place] = torch.arange(len(place))
+    found = words[one.numpy()]
+    if not np.array_equal(found[place.numpy()], words):
+        return None
+    return torch.from_numpy(found.view(np.uint8)[:, : patch * line]), place.view(n, -1)
 
 
 class ComparingEncoder(PatchEncoder):
@@ -193,35 +250,35 @@ class ComparingEncoder(PatchEncoder):
             self.register_buffer("codes", _codes_of_colours(self.patch, shape[2]), persistent=False)
 
     def forward(self, image: Tensor) -> Tensor:
-        patches = self.cut(image).to(compute_dtype(image))
+        patches, place = self.cut(image)
+        embedded = self.placed(self.embedded(patches), place)
         if self.key is None:
-            alike = self.same(patches)
+            codes = self.placed(self.look(patches), place)
+            alike = (codes.unsqueeze(1) == codes.unsqueeze(2)) & (codes != 0).unsqueeze(1)
         else:
-            alike = ((self.cosines(patches, self.key) - 1) * self.sharpness).exp()
-        embedded = self.embedded(patches).unflatten(1, (self.patches, -1))
+            keys = self.placed(self.keys(patches, self.key), place)
+            alike = ((keys @ keys.transpose(1, 2) - 1) * self.sharpness).exp()
         described = self.describe(torch.cat([embedded, alike.to(embedded.dtype)], -1)).relu()
         grid = described.unflatten(1, (self.rows, self.columns)).permute(0, 3, 1, 2)
         for convolution in self.convolutions:
             grid = convolution(grid).relu()
         return self.mix(grid.permute(0, 2, 3, 1).flatten(1)).relu()
 
-    def cosines(self, patches: Tensor, key: nn.Linear) -> Tensor:
-        """The cosines of the keys of any two patches, [N, patches, pixels * C] -> [N, patches,
-        patches]; near 0 for patches of one colour."""
+    def keys(self, patches: Tensor, key: nn.Linear) -> Tensor:
+        """The keys of patches, [K, pixels * C] -> [K, key_size], of length 1; near 0 for patches of
+        one colour."""
         weight = key.weight / 255.0
         # Without the weights' mean keys do not depend on the patch's mean.
         keys = F.linear(patches, weight - weight.mean(1, keepdim=True))
         scale = keys.float().square().sum(-1, keepdim=True).clamp(min=_FAINT**2).rsqrt()
-        keys = keys * scale.to(keys.dtype)
-        return keys @ keys.transpose(1, 2)
+        return keys * scale.to(keys.dtype)
 
-    def same(self, patches: Tensor) -> Tensor:
-        """Whether any two patches show the same, [N, patches, pixels * C] -> bool [N, patches,
-        patches]."""
+    def look(self, patches: Tensor) -> Tensor:
+        """What patches show, [K, pixels * C] -> float64 [K]: equal numbers where it is the same, 0
+        where it is nothing."""
         with torch.autocast(patches.device.type, enabled=False):
             low, high = F.linear(patches.float(), self.codes).double().unbind(-1)
-        codes = low + 2**24 * high  # exact: both are whole numbers below 2^23
-        return (codes.unsqueeze(1) == codes.unsqueeze(2)) & (codes != 0).unsqueeze(1)
+        return low + 2**24 * high  # exact: both are whole numbers below 2^23
 
 
 def _codes_of_colours(patch: int, channels: int) -> Tensor:
