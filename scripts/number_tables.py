@@ -24,7 +24,7 @@ from zipf.experiments.reporting.seed_statistics import (
 )
 from zipf.experiments.reporting.statistics import FEWEST_SEEDS
 from zipf.experiments.reporting.tables import ScoreTable, score_tables
-from zipf.experiments.reporting.windows import Window, evaluations_inside
+from zipf.experiments.reporting.windows import OwnWindows, Window, evaluations_inside
 from zipf.protocol import BASELINES, PAPER_KINDS
 
 RESULTS = Path(__file__).parent.parent / "results"
@@ -213,7 +213,7 @@ def _all_runs() -> list[Run]:
 @cache
 def _row(folder: str) -> tuple[ScoreTable, Row]:
     """The table of a condition's runs alone, and its only row."""
-    (table,) = score_tables(_runs(folder), "own")
+    (table,) = score_tables(_runs(folder), OwnWindows())
     (row,) = table.rows
     assert table.unreached is None, f"{folder}: no run has reached its window"
     return table, row
@@ -253,7 +253,7 @@ def runs() -> list[str]:
 
 def comparison(experiment: str) -> list[str]:
     """The lines of a table of an experiment's conditions, in the order of all tables."""
-    (table,) = score_tables(_runs(experiment), "own")
+    (table,) = score_tables(_runs(experiment), OwnWindows())
     scores = table.scores.set_index(["condition", "level_kind"])
     rows: list[tuple[str, ...]] = []
     for name in table.scores["condition"].unique():

@@ -158,7 +158,7 @@ def test_a_missing_column_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
         ({"window": [300, 100]}, "window [300, 100] ends before it starts"),
         (
             {"levels": [level("all", "a")]},
-            "levels.0.level_kind: Value error, should be",
+            "levels.0.level_kind: Input should be 'train', 'uniform'",
         ),
         ({"levels": [level("train", "a"), level("train", "a")]}, "two train levels have the same"),
         ({"levels": [level("uniform", "a")]}, "levels: there is no train level"),
@@ -172,7 +172,7 @@ def test_a_missing_column_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
         ({"resumed": 5}, "resumed: Input should be a valid"),
         (
             {"levels": [level("train", "a", oracle=1.0)]},
-            "levels.0.references.oracle.[key]: Value error, should be one of chance, blind, ",
+            "levels.0.references.oracle.[key]: Input should be 'chance', 'blind'",
         ),
         ({"paper": "atari"}, "paper: the paper has no experiment 'atari'; it has gridworld"),
     ],

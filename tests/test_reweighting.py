@@ -15,6 +15,7 @@ from zipf.agents import agents
 from zipf.agents.agent import AgentSpec, unsupported
 from zipf.agents.memory import MLPOptions
 from zipf.agents.r2d2 import Replayed
+from zipf.envs.goals import Goal
 from zipf.envs.policies import Teacher
 from zipf.errors import UserError
 from zipf.experiments.building import loading
@@ -24,9 +25,9 @@ from zipf.experiments.hooks.labels import Labels
 from zipf.experiments.hooks.reweighting import (
     REWEIGHTINGS,
     EffectiveNumberOptions,
-    GoalWeights,
     InverseCountOptions,
     NoReweightingOptions,
+    Reweighting,
     bounded,
 )
 from zipf.experiments.training.host_collector import HostCollector
@@ -44,6 +45,27 @@ def effective(beta, largest=1e9):
     return EffectiveNumberOptions(
         name="effective_number", beta=beta, largest_weight=largest, **TABLE
     )
+
+
+class GoalItself(Goal):
+    """Of observations that are the goal."""
+
+    def __init__(self):
+        pass
+
+    def read(self, observation):
+        return observation["goal"]
+
+    def write(self, observation, goals, mask):
+        raise NotImplementedError
+
+
+def counting(options, num_envs):
+    return Reweighting(options, GoalItself(), num_envs)
+
+
+def begin(weighing, goals, mask):
+    weighing.begin({"goal": torch.from_numpy(goals)}, torch.from_numpy(mask))
 
 
 def by_hand(options, counts):
@@ -69,11 +91,11 @@ def by_hand(options, counts):
 def test_weights_of_a_random_stream(options, largest, dtype):
     options = options.model_copy(update={"largest_weight": largest})
     rng, counts = np.random.default_rng(0), Counter()
-    weighing, worlds = GoalWeights(options, 5), [b""] * 5
+    weighing, worlds = counting(options, 5), [b""] * 5
     for step in range(12):
         goals = rng.zipf(1.8, size=(5, 3)).clip(max=3).astype(dtype)
         begins = rng.random(5) < (0.6 if step else 2)
-        weighing.begin(goals, begins)
+        begin(weighing, goals, begins)
         for i in np.flatnonzero(begins):
             worlds[i] = goals[i].tobytes()
             counts[worlds[i]] += 1
@@ -88,8 +110,8 @@ def test_weights_of_a_random_stream(options, largest, dtype):
 
 @pytest.mark.parametrize("options", [inverse(0.0), effective(0.0), inverse(1.0, largest=1.0)])
 def test_alike_is_exactly_one(options):
-    rng, weighing = np.random.default_rng(0), GoalWeights(options, 7)
-    weighing.begin(rng.integers(3, size=(7, 2)), np.ones(7, bool))
+    rng, weighing = np.random.default_rng(0), counting(options, 7)
+    begin(weighing, rng.integers(3, size=(7, 2)), np.ones(7, bool))
     assert (weighing.weights(np.stack([weighing.counters] * 9)) == 1).all()
 
 
@@ -109,10 +131,10 @@ def test_balanced_weights_make_goals_uniform():
     law = 1 / np.arange(1, goals + 1) ** 2.0
     law /= law.sum()
     for power in (1.0, 0.5, 0.0):
-        weighing, shares = GoalWeights(inverse(power), 20), np.zeros(goals)
+        weighing, shares = counting(inverse(power), 20), np.zeros(goals)
         for update in range(4000):
             asked = rng.choice(goals, p=law, size=20)
-            weighing.begin(asked[:, None], np.ones(20, bool))
+            begin(weighing, asked[:, None], np.ones(20, bool))
             if update >= 1000:
                 frames = weighing.weights(weighing.counters[None])[0]
                 shares += np.bincount(asked, frames, goals)

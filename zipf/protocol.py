@@ -25,35 +25,30 @@ class Baseline:
     Attributes:
         name: in `Family.baselines`, in run.json, and of its column of report.csv.
         title: in tables.
-        hint: what it does in a few words, for legends.
         meaning: what it does, for captions: a sentence without its subject, verb and full stop.
     """
 
     name: str
     title: str
-    hint: str
     meaning: str
 
 
 BASELINES = (
-    Baseline("chance", "Chance", "random actions", "uniformly random actions"),
+    Baseline("chance", "Chance", "uniformly random actions"),
     Baseline(
         "blind",
         "Blind",
-        "is not told what is asked for",
         "the best known policy that is not told what an episode asks for: scripts that guess it, "
         "and actions played without a look",
     ),
     Baseline(
         "generalist",
         "Generalist",
-        "scripted, acts on what it has seen",
         "a scripted policy that acts only on what it has seen in the episode, and knows no map",
     ),
     Baseline(
         "expert",
         "Expert",
-        "scripted, reads the state",
         "a scripted policy that reads the whole state of the env",
     ),
 )

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, Literal, TypedDict, Unpack
 
 import hydra
-from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
@@ -164,21 +163,8 @@ def _text(value: Any) -> str:
 
 
 @hydra.main(version_base="1.3", config_path=str(CONFIG_DIR), config_name=PRIMARY)
-def _run(_: DictConfig) -> None:
-    from zipf.experiments import cluster
-    from zipf.experiments.training import runner
-
-    try:
-        config = loading.load(list(HydraConfig.get().overrides.task))
-        words = [word for word in sys.argv[1:] if word != composing.search_path()]
-        stopped = runner.train(config, cluster.runtime_of(config), words)
-    except EXPECTED as error:
-        _tell(error)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        stopped = signal.SIGINT
-    if stopped:
-        sys.exit(128 + stopped)
+def _hydra(_: DictConfig) -> None:
+    """What Hydra prints of a configuration or of itself."""
 
 
 def _tell(error: Exception) -> None:
@@ -192,7 +178,6 @@ def _tell(error: Exception) -> None:
 def main() -> None:
     """The command: a run, or with `-m` a sweep."""
     keep_going()
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # otherwise Hydra shortens the traceback of a run
     quiet = bool(QUIET & set(sys.argv[1:]))
     sys.argv[1:] = [word for word in sys.argv[1:] if word not in QUIET]
     try:
@@ -241,10 +226,13 @@ def _main() -> int:
                     f"--cfg: shows the options of one run, and this is a sweep of {len(jobs)} jobs"
                 )
             raise UserError(f"this is a sweep of {len(jobs)} jobs: add -m")
-        if launcher := [word for word in arguments.overrides if sweeps.for_launcher(word)]:
-            raise UserError(f"{launcher[0]}: is for the jobs of a sweep: add -m, or leave it out")
+        if not arguments.cfg:
+            if of_hydra := [word for word in arguments.overrides if sweeps.for_hydra(word)]:
+                raise UserError(f"{of_hydra[0]}: is for a sweep: add -m, or leave it out")
+            stopped = _train(jobs[0].config, sys.argv[1:])
+            return 128 + stopped if stopped else 0
     sys.argv += [path for path in [composing.search_path()] if path]
-    _run()
+    _hydra()
     return 0
 
 

@@ -191,11 +191,12 @@ def distinct_patches(image: Tensor, patch: int) -> tuple[Tensor, Tensor] | None:
     rows, columns, line = height // patch, width // patch, patch * channels
     # Lines of a patch are copied as items of as many bytes, which is three times as fast as bytes
     # one by one. Words of 8 bytes are hashed and compared; the last is padded with zeros.
-    words = np.zeros((n, rows, columns, -(-patch * line // 8)), np.int64)
-    lines = np.ndarray((*words.shape[:3], patch), f"V{line}", words, 0, (*words.strides[:3], line))
+    padded = np.zeros((n, rows, columns, -(-patch * line // 8)), np.int64)
+    where = (*padded.shape[:3], patch), (*padded.strides[:3], line)
+    lines = np.ndarray(where[0], f"V{line}", padded, 0, where[1])
     pixels = image.contiguous().numpy().reshape(n, rows, patch, columns * line)
     lines[...] = pixels.view(f"V{line}").swapaxes(2, 3)
-    words = words.reshape(n * rows * columns, -1)
+    words = padded.reshape(n * rows * columns, -1)
     weights = np.random.default_rng(0).integers(2**63, size=words.shape[1]) * 2 + 1
     hashes, place = torch.unique(torch.from_numpy(words @ weights), return_inverse=True)
     if 2 * len(hashes) > len(words):

@@ -260,9 +260,18 @@ def _too_large(options: str, what: str, count: int, each: int) -> str | None:
 
 def _frame_bytes(config: Config) -> int:
     """RAM for a frame of one env: the observation and what is kept beside it."""
-    env = envs.make_vec(config.split.train[0], 1, **config.level_options)
-    env.close()
-    return sum(part.nbytes for part in env.allocate().values()) + BESIDE_A_FRAME
+    return sum(part.nbytes for part in _first_env(config).allocate().values()) + BESIDE_A_FRAME
+
+
+def _first_env(config: Config) -> envs.ZipfVectorEnv:
+    """One env of the first level of training, closed: what it shows and takes can be asked for."""
+    level = config.split.train[0]
+    key = json.dumps([config.environment.split, str(level), config.level_options], default=str)
+    if key not in _made:  # the jobs of a sweep that follow each other have mostly the same one
+        _made.clear()
+        _made[key] = envs.make_vec(level, 1, **config.level_options)
+        _made[key].close()
+    return _made[key]
 
 
 def _no_folder(config: Config) -> str | None:
@@ -281,6 +290,7 @@ def _no_folder(config: Config) -> str | None:
 BESIDE_A_FRAME = 64  # bytes: reward, action, flags and so on
 LARGEST_SIZE = 2**16  # ours: the weights between two such layers take 17 GB
 
+_made: dict[str, envs.ZipfVectorEnv] = {}  # the last one
 _tried: dict[tuple[str, str], list[str]] = {}
 
 
@@ -320,8 +330,7 @@ def _no_levels(config: Config) -> Iterator[str]:
 
 def _no_agent(config: Config) -> Iterator[str]:
     family = envs.family_of_split(config.environment.split)
-    env = envs.make_vec(config.split.train[0], 1, **config.level_options)
-    env.close()
+    env = _first_env(config)
     if config.hindsight.name != "none" and family.goal is not None and not env.achieves:
         yield (
             f"hindsight={config.hindsight.name}: these envs do not tell what an episode has "
@@ -381,8 +390,7 @@ def _lacking_memory(config: Config) -> Iterator[str]:
             yield f"{name}={value}: should be at most {LARGEST_SIZE}"
     if too_large:
         return
-    env = envs.make_vec(config.split.train[0], 1, **config.level_options)
-    env.close()
+    env = _first_env(config)
     if large := list(_too_many_codes(config, env)):
         yield from large
         return

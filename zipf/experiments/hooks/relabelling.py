@@ -89,21 +89,8 @@ class Hindsight(Hook):
         self._lengths[mask.numpy()] = 0
 
     def step(self, row: Row) -> None:
-        outcome = arrays(row.outcome)
-        self.add(arrays(row.observation), arrays(row.fields), row.ended.numpy(), outcome)
-
-    def finish(self, unroll: Unroll) -> None:
-        unroll.episodes = self.take()
-
-    def add(
-        self,
-        observation: Parts,
-        fields: Parts,
-        ended: NDArray[np.bool_],
-        final_info: dict[str, NDArray[Any]],
-    ) -> None:
-        """Adds a step of all envs: its observation {name: [N, ...]}, the `fields` of an unroll's
-        row {name: [N, ...]}, where episodes end with it, bool [N], and the outcome of these."""
+        observation, fields = arrays(row.observation), arrays(row.fields)
+        ended, outcome = row.ended.numpy(), arrays(row.outcome)
         if self.options.length is None and self._lengths.max() == self._rows:
             self._grow(2 * self._rows)
         rows = self._lengths % self._rows
@@ -113,7 +100,7 @@ class Hindsight(Hook):
         self._lengths += 1
         if not ended.any():
             return
-        goals, achieved = final_info["achieved"], ended & final_info["has_achieved"]
+        goals, achieved = outcome["achieved"], ended & outcome["has_achieved"]
         asked = self.goal.read(observation)
         other = achieved & (goals != asked).any(1)
         if self._memory is None:
@@ -139,15 +126,15 @@ class Hindsight(Hook):
         if place < self.options.episodes:
             self._chosen[place : place + 1] = [self._relabelled(i, goal)]
 
-    def take(self) -> TensorDict | None:
-        """The relabelled episodes to learn from, [L, E] as in `Unroll.episodes`; None if there are
-        none: those since the last call, or some of the memory's."""
+    def finish(self, unroll: Unroll) -> None:
+        """Gives the unroll the relabelled episodes to learn from, [L, E], if there are any: those
+        since the last call, or some of the memory's."""
         chosen, self._chosen, self._candidates = self._chosen, [], 0
         if self._memory is not None:
             kept = self._memory.draw(self.options.episodes, self._generator)
             chosen = [self._drawn_anew(episode) for episode in kept]
         if not chosen:
-            return None
+            return
         lengths = torch.tensor([len(fields["reward"]) for _, fields in chosen])
         shape = int(lengths.max()), len(chosen)
         row = torch.arange(shape[0])[:, None]
@@ -159,7 +146,7 @@ class Hindsight(Hook):
         episodes["is_first"] = ~inside | (row == 0)
         episodes["terminated"] = row == lengths - 1
         episodes["truncated"] = torch.zeros_like(inside)
-        return episodes
+        unroll.episodes = episodes
 
     def state_dict(self) -> dict[str, Any]:
         """The running episodes, with zeros in the place of what is left of earlier ones, and the

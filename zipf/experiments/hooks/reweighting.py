@@ -63,50 +63,6 @@ class EffectiveNumberOptions(_Weights):
     beta: BelowOne
 
 
-class GoalWeights:
-    """Counts the goals of N envs in a table of hashes, and weighs their frames."""
-
-    def __init__(self, options: InverseCountOptions | EffectiveNumberOptions, num_envs: int):
-        self.options = options
-        self.counts = np.zeros(options.table_size, np.int64)  # how often each goal was asked for
-        self.counters = np.zeros(num_envs, np.int64)  # where in `counts` the goal of each env is
-        self._factors = np.zeros(0, np.uint64)
-
-    def begin(self, goals: NDArray[Any], mask: NDArray[np.bool_]) -> None:
-        """Counts the goals, integers [N, K], of the episodes that begin where `mask` [N]."""
-        parts = goals[mask].astype(np.int64).view(np.uint64)
-        if len(self._factors) != parts.shape[1]:  # the same in every process
-            rng = np.random.default_rng(0)
-            self._factors = rng.integers(2**64, size=parts.shape[1:], dtype=np.uint64)
-        # Multilinear hashing: the high bits of sum_i factor_i * part_i mod 2^64 are universal.
-        hashes = np.add.reduce(parts * self._factors, axis=1) >> np.uint64(32)
-        size = np.uint64(len(self.counts))
-        self.counters[mask] = (hashes * size >> np.uint64(32)).astype(np.int64)
-        np.add.at(self.counts, self.counters[mask], 1)
-
-    def weights(self, counters: NDArray[np.int64]) -> NDArray[np.float32]:
-        """The weights, float32 [T, N], of frames of episodes with these `counters` [T, N], by the
-        counts as they are now."""
-        o, asked = self.options, np.flatnonzero(self.counts)
-        counts = self.counts[asked].astype(np.float64)
-        if isinstance(o, InverseCountOptions):
-            raw = counts**-o.power
-        else:
-            raw = (1 - o.beta) / (1 - o.beta**counts)
-        # Not of mean 1 in every unroll: one with a rare goal would make all of its weights smaller.
-        of_goals = np.zeros(len(self.counts), np.float32)
-        of_goals[asked] = bounded(raw, counts, o.largest_weight)
-        return of_goals[counters]
-
-    def state_dict(self) -> dict[str, NDArray[np.int64]]:
-        """The counts, and what each env was asked for."""
-        return {"counts": self.counts, "counters": self.counters.copy()}
-
-    def load_state_dict(self, state: dict[str, NDArray[np.int64]]) -> None:
-        self.counts[:] = state["counts"]
-        self.counters[:] = state["counters"]
-
-
 def bounded(
     raw: NDArray[np.float64], counts: NDArray[np.float64], largest: float
 ) -> NDArray[np.float64]:
@@ -124,7 +80,9 @@ def bounded(
 
 
 class Reweighting(Hook):
-    """Weighs the frames of unrolls by the goals of their episodes, with the counts at their end.
+    """Counts the goals of N envs in a table of hashes, and weighs the frames of unrolls by the
+    goals of their episodes, with the counts at the unrolls' end.
+
     Raises ValueError: the envs do not say what an episode asks for: `goal`, which reads it, is
     None.
     """
@@ -139,28 +97,57 @@ class Reweighting(Hook):
     ):
         if goal is None:
             raise ValueError("these envs do not say what an episode asks for")
+        self.options = options
         self.goal = goal
         self.columns = {"weight": torch.empty((), dtype=torch.float32)}
-        self.goals = GoalWeights(options, num_envs)
+        self.counts = np.zeros(options.table_size, np.int64)  # how often each goal was asked for
+        self.counters = np.zeros(num_envs, np.int64)  # where in `counts` the goal of each env is
+        self._factors = np.zeros(0, np.uint64)
         self._asked: list[NDArray[np.int64]] = []  # the counters of each row of the unroll
 
     def begin(self, observation: Parts, mask: Tensor) -> None:
-        if mask.any():
-            self.goals.begin(self.goal.read(arrays(observation)), mask.numpy())
+        if not mask.any():
+            return
+        begins = mask.numpy()
+        parts = self.goal.read(arrays(observation))[begins].astype(np.int64).view(np.uint64)
+        if len(self._factors) != parts.shape[1]:  # the same in every process
+            rng = np.random.default_rng(0)
+            self._factors = rng.integers(2**64, size=parts.shape[1:], dtype=np.uint64)
+        # Multilinear hashing: the high bits of sum_i factor_i * part_i mod 2^64 are universal.
+        hashes = np.add.reduce(parts * self._factors, axis=1) >> np.uint64(32)
+        size = np.uint64(len(self.counts))
+        self.counters[begins] = (hashes * size >> np.uint64(32)).astype(np.int64)
+        np.add.at(self.counts, self.counters[begins], 1)
 
     def step(self, row: Row) -> None:
-        self._asked.append(self.goals.counters.copy())
+        self._asked.append(self.counters.copy())
 
     def finish(self, unroll: Unroll) -> None:
-        weights = self.goals.weights(np.stack(self._asked))
+        weights = self.weights(np.stack(self._asked))
         unroll.steps["weight"][:-1] = torch.from_numpy(weights)
         self._asked = []
 
+    def weights(self, counters: NDArray[np.int64]) -> NDArray[np.float32]:
+        """The weights, float32 [T, N], of frames of episodes with these `counters` [T, N], by the
+        counts as they are now."""
+        o, asked = self.options, np.flatnonzero(self.counts)
+        counts = self.counts[asked].astype(np.float64)
+        if isinstance(o, InverseCountOptions):
+            raw = counts**-o.power
+        else:
+            raw = (1 - o.beta) / (1 - o.beta**counts)
+        # Not of mean 1 in every unroll: one with a rare goal would make all of its weights smaller.
+        of_goals = np.zeros(len(self.counts), np.float32)
+        of_goals[asked] = bounded(raw, counts, o.largest_weight)
+        return of_goals[counters]
+
     def state_dict(self) -> dict[str, Any]:
-        return self.goals.state_dict()
+        """The counts, and what each env was asked for."""
+        return {"counts": self.counts, "counters": self.counters.copy()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.goals.load_state_dict(state)
+        self.counts[:] = state["counts"]
+        self.counters[:] = state["counters"]
 
 
 REWEIGHTINGS: Registry[Hook | None] = Registry("reweighting")

@@ -29,17 +29,13 @@ class View:
 
     Args:
         env: decodes.
-        augmentation: how observations are changed; None: they are not, and nothing is drawn.
-
-    Raises:
-        ValueError: it changes images in a way that only the host can.
+        augmentation: how observations are changed, in no way that is for the `host_alone`; None:
+            they are not, and nothing is drawn.
     """
 
     on_device = True
 
     def __init__(self, env: TensorEnv, augmentation: RandomAugmentation | None):
-        if augmentation is not None and (problem := host_alone(augmentation.options)):
-            raise ValueError(problem)
         self.size = 0 if augmentation is None else augmentation.size
         self._decode = env.decode
         self._images = augmentation.images if augmentation and augmentation.options.channels else []

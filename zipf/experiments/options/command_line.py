@@ -64,7 +64,7 @@ def read_composed(overrides: list[str]) -> tuple[Config, Composed]:
     parsed = parse(overrides)
     composing.load_plugins(_plugins(parsed))
     known, problems = _known(parsed)
-    if not any(override.startswith("experiment=") for override in known):
+    if not any(one.key_or_group == "experiment" for one in parse(known)):
         raise UserError("\n".join(problems))
     if problems and not any(_is_of_a_part(one) for one in parse(known)):
         raise UserError("\n".join([*problems, *_mistyped(known)]))
@@ -349,7 +349,7 @@ def _known(overrides: list[Override]) -> tuple[list[str], list[str]]:
                 problems.append(f"{key}={value}: no such {key}{own}; {hint}")
         else:
             options.append(override)
-    if not any(text.startswith("experiment=") for text in known):
+    if experiment is None:
         hints = _misspelt([override.key_or_group for override in options])
         problems += [f"{key}: no such option; did you mean {hint}?" for key, hint in hints.items()]
         keys = {override.key_or_group for override in overrides}

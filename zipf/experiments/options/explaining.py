@@ -223,7 +223,8 @@ def _given(word: str, known: dict[str, Origin], options: list[str]) -> dict[str,
     elif key in config_files.parts():
         keys = [f"{key}.name"]
     elif key in config_files.several():
-        keys = [f"{key}.{name}.name" for name in (value if isinstance(value, list) else [value])]
+        chosen = value if isinstance(value, list) else [value]
+        keys = [f"{key}.{name}.name" for name in chosen] or [key]
     else:
         keys = ["condition" if key == "name" else key]
     found = {}

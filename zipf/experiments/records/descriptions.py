@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from zipf.errors import UserError
 from zipf.experiments.records.csv_files import plain, read_bytes
@@ -22,18 +22,6 @@ Colour = Annotated[str, Field(pattern=COLOUR_PATTERN)]
 Whole = Annotated[int, Field(gt=-(2**63), lt=2**63)]
 Count = Annotated[int, Field(ge=0, lt=10**15)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-
-
-def _known(name: str) -> str:
-    if name not in BASELINE_NAMES:
-        raise ValueError(f"should be one of {', '.join(BASELINE_NAMES)}, is {name!r}")
-    return name
-
-
-def _kind(name: str) -> str:
-    if name not in KINDS:
-        raise ValueError(f"should be one of {', '.join(KINDS)}, is {name!r}")
-    return name
 
 
 class _Described(BaseModel):
@@ -76,13 +64,14 @@ class LevelDescription(_Described):
     name.
     """
 
-    level_kind: Annotated[str, AfterValidator(_kind)]
+    level_kind: Literal[KINDS]  # type: ignore[valid-type]
     level: Line
     weight: Positive
     normalised: bool
-    baselines: Mapping[Annotated[str, AfterValidator(_known)], BaselineDescription] = Field(
-        alias="references"
-    )
+    baselines: Mapping[
+        Literal[BASELINE_NAMES],  # type: ignore[valid-type]
+        BaselineDescription,
+    ] = Field(alias="references")
 
 
 class ExternalDescription(_Described):

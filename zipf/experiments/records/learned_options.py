@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 # Options, or groups of them, without effect on learning: they are not part of a condition's name,
@@ -43,11 +44,12 @@ def changes_nothing(option: str, value: Any) -> bool:
     return option in ADDED_SINCE and ADDED_SINCE[option] == value
 
 
-def flatten(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested options as a flat dictionary: {"agent.discount": 0.99, ...}."""
+def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested options as a flat dictionary: {"agent.discount": 0.99, ...}; an empty dictionary is an
+    entry."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and value:
             flat |= flatten(value, f"{prefix}{key}.")
         else:
             flat[f"{prefix}{key}"] = value

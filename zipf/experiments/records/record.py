@@ -33,6 +33,7 @@ import pandas as pd
 
 from zipf.errors import UserError
 from zipf.experiments.records.csv_files import read_texts
+from zipf.experiments.records.learned_options import flatten
 from zipf.experiments.records.replacing import replacing
 from zipf.experiments.records.result_table import TABLES
 
@@ -187,7 +188,7 @@ def _read_nested(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _write_nested(path: Path, of_runs: Mapping[str, Mapping[str, Any]]) -> None:
-    flat = {name: dict(_flat(values)) for name, values in of_runs.items()}
+    flat = {name: flatten(values) for name, values in of_runs.items()}
     columns = list(dict.fromkeys(name for values in flat.values() for name in values))
     _write(
         path,
@@ -197,15 +198,6 @@ def _write_nested(path: Path, of_runs: Mapping[str, Mapping[str, Any]]) -> None:
             for name, values in flat.items()
         ),
     )
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
-    """The entries of nested dictionaries; an empty one is an entry."""
-    for name, value in values.items():
-        if isinstance(value, dict) and value:
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 def _text(value: Any) -> str:

@@ -60,9 +60,9 @@ BASELINE_DASHES: Mapping[str, Dash] = {
     "expert": (10, 3),
 }
 KIND_MARKS: Mapping[str, Mapping[str, Any]] = {
-    "train": {"marker": "circle", "filled": False},
-    "uniform": {"marker": "square", "filled": False},
-    "rare": {"marker": "diamond"},
+    "train": {"marker": "o", "filled": False},
+    "uniform": {"marker": "s", "filled": False},
+    "rare": {"marker": "D"},
 }
 NAMES: Mapping[Measure, str] = {"success": "Success", "return": "Mean return"}
 INTERVALS: Mapping[Measure, str] = {
@@ -105,7 +105,7 @@ def estimates(statistics: SeedStatistics, looks: Looks) -> Chart | None:
     for levels in table.kinds:
         kind = levels.level_kind
         lines: list[Line] = []
-        dot: dict[str, Any] = {"marker": "circle", "joined": False}
+        dot: dict[str, Any] = {"marker": "o", "joined": False}
         mark: dict[str, Any]
         of_kind = scores[scores["level_kind"] == kind].set_index("row")
         for row, place in zip(rows, places, strict=False):
@@ -115,7 +115,7 @@ def estimates(statistics: SeedStatistics, looks: Looks) -> Chart | None:
             named: dict[str, Any] = {"colour": looks.of(table, row).colour, "key": f"row {row.key}"}
             published = float(found["paper_value"])
             mark = {
-                "marker": "x",
+                "marker": "X",
                 "size": 4.5,
                 "joined": False,
                 "key": "paper",
@@ -197,7 +197,7 @@ def learning_curves(table: ScoreTable, looks: Looks, across: str = "") -> Chart 
                     row,
                     places,
                     middle["score"],
-                    marker="circle" if len(middle) < 3 else "",
+                    marker="o" if len(middle) < 3 else "",
                     low=pooled["score"].min() if several else None,
                     high=pooled["score"].max() if several else None,
                     points=[

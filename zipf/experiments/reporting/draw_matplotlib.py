@@ -45,15 +45,6 @@ from zipf.experiments.reporting.panels import (
 from zipf.experiments.reporting.seed_statistics import SeedStatistics
 
 SHADE, GRID = "#FBF1CC", "#EBEBEB"
-MARKERS = {
-    "": None,
-    "circle": "o",
-    "square": "s",
-    "diamond": "D",
-    "cross": "P",
-    "x": "X",
-    "triangle-up": "^",
-}
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.titlesize": 10,
@@ -286,7 +277,7 @@ def _style(line: Line) -> dict[str, Any]:
         "color": line.colour,
         "linestyle": dash if line.joined else "none",
         "linewidth": line.width,
-        "marker": MARKERS[line.marker],
+        "marker": line.marker or None,
         "markersize": line.size,
         "markerfacecolor": line.colour if line.filled else "none",
     }

@@ -31,7 +31,7 @@ GREY = "#7F7F7F"
 RARE_COLOUR = "#D55E00"
 LINES: Mapping[str, Dash] = {"solid": (), "dashed": (5, 1.5)}
 DASHES: tuple[Dash, ...] = (*LINES.values(), (1.5, 1), (5, 1.5, 1.5, 1.5))
-MARKERS = ("circle", "square", "diamond", "cross", "x", "triangle-up")
+MARKERS = "osDPX^"  # Matplotlib's
 WIDTH = 1.8  # points, of a line
 LABEL_LETTERS = 20  # of a line of a label at a curve's end
 

@@ -107,7 +107,7 @@ def score_tables(
 
     Args:
         window: instead of each run's own; "scaled" for that at the same fractions of shorter runs;
-            "own" for each run's own, with those that differ in one table.
+            `OwnWindows` for each run's own, with those that differ in one table.
         order: conditions whose rows come first, in this order.
     """
     tables: list[ScoreTable] = []

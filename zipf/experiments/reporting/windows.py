@@ -79,15 +79,13 @@ class OwnWindows:
 
 
 Window = UpdateWindow | LastEvaluations | ScaledWindow | OwnWindows
-Asked = UpdateWindow | LastEvaluations | Literal["scaled", "own"]
+Asked = UpdateWindow | LastEvaluations | OwnWindows | Literal["scaled"]
 """What a reader may ask for: a window; each experiment's own, scaled to each run; or each run's
 own, whether or not the other runs of its table have the same."""
 
 
 def used_window(own: tuple[int, int], asked: Asked | None) -> Window:
     """The window of an experiment whose own is `own`, in updates; None asks for that."""
-    if asked == "own":
-        return OwnWindows()
     if asked == "scaled":
         return ScaledWindow(*own)
     return asked or UpdateWindow(*own)
@@ -117,7 +115,7 @@ def parse_window(text: str) -> Asked:
     if text == "scaled":
         return "scaled"
     if text == "own":
-        return "own"
+        return OwnWindows()
     if match := re.fullmatch(r"last(?::([1-9][0-9]{0,8}))?", text):
         return LastEvaluations(int(match[1] or 1))
     if match := re.fullmatch(r"([0-9]{1,12})([kM]?):([0-9]{1,12})([kM]?)", text):

@@ -138,11 +138,6 @@ def for_hydra(word: str) -> bool:
     return word.lstrip("+~").startswith(("hydra.", "hydra/"))
 
 
-def for_launcher(word: str) -> bool:
-    """Whether an override is about what starts the jobs of a sweep."""
-    return word.lstrip("+~").startswith(("hydra.launcher", "hydra/launcher"))
-
-
 def for_search(word: str) -> bool:
     """Whether an override is about a search, and not about a job."""
     return word.lstrip("+~").partition("=")[0].partition(".")[0] == "search"
