@@ -23,6 +23,7 @@ from zipf.experiments.hooks.exploration import (
     FirstVisitBonus,
     FirstVisitOptions,
 )
+from zipf.experiments.hooks.hook import Hook
 from zipf.experiments.hooks.rewards import SoftAsymmetric, TimeLimitsEnd, soft_asymmetric
 from zipf.experiments.training.host_collector import HostCollector
 
@@ -243,6 +244,16 @@ def test_the_bonus_is_kept_apart_from_the_reward():
         assert not one["bonus"].any()
         assert (other["bonus"][:-1] > 0).all()
     assert plain.episode_metrics() == bonused.episode_metrics()
+
+
+@pytest.mark.parametrize("name", ["memory", "exploration"])
+def test_a_hook_has_a_name_of_its_own(name):
+    own = Hook()
+    own.name = name
+    agent, collector = build()
+    hooks = [CountBonus(CountOptions(name="count", scale=0.5, table_size=2**16)), own]
+    with pytest.raises(ValueError, match=f"{name!r} is the collector's own or another hook's"):
+        HostCollector(collector.env, agent, unroll_length=STEPS, seed=0, hooks=hooks)
 
 
 class Brightness(Bonus):

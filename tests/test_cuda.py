@@ -13,6 +13,7 @@ from zipf import envs
 from zipf.agents import agents
 from zipf.envs.testing import check_tensor_env
 from zipf.experiments.building import checkpoint, loading
+from zipf.experiments.evaluation.agent_policy import AgentPolicy
 from zipf.experiments.training import runner
 
 # What `deterministic=true` needs, which some of these tests choose after others have started CUDA.
@@ -57,6 +58,22 @@ def state(folder):
 def test_options_go_together(agent, lag):
     """Also where there is no CUDA, and no other test of this file is run."""
     assert options(agent, f"collector.lag={lag}").collector.lag == lag
+
+
+@on_cuda
+def test_an_agent_that_draws_on_the_host_is_scored(cuda):
+    class Drawing:
+        def initial_memory(self, num_envs):
+            return {}
+
+        def act(self, inputs, memory, generator, *, training):
+            n = len(inputs.is_first)
+            return torch.randint(8, (n,), generator=generator), memory, {}
+
+    policy = AgentPolicy(Drawing(), seed=0, device=cuda)
+    policy.start(3)
+    for _ in range(2):
+        assert policy({}, np.zeros(3, np.float32), np.zeros(3, np.bool_)).shape == (3,)
 
 
 @on_cuda

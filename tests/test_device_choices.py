@@ -61,6 +61,18 @@ def test_resnets_are_compiled_on_cuda_where_there_is_a_compiler(monkeypatch):
     assert not on_cuda(config.model_copy(update={"compile": False}))
 
 
+@pytest.mark.parametrize("group", ["exploration", "hindsight", "augmentation"])
+def test_a_plugins_choice_takes_the_host(group):
+    """Its options may derive from ours, and what it does is its own."""
+    choice = {"exploration": "count", "hindsight": "achieved", "augmentation": "random"}[group]
+    config = config_of("demo", group, choice)
+    assert not list(only_on_the_host(config))
+    part = getattr(config, group)
+    own = type("Own", (type(part),), {}).model_construct(**dict(part) | {"name": "own"})
+    config = config.model_copy(update={group: own})
+    assert list(only_on_the_host(config)) == [f"{group}=own"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("group", "choice"), CHOICES)
 def test_with_envs_on_the_device(group, choice):

@@ -614,6 +614,8 @@ def test_replay_has_relabelled_episodes_as_sequences():
             assert errors[: len(here)].all()
     made = build("r2d2", hindsight=options)
     assert made._insert_episodes(episodes) == len(made.replay) == 6
+    episodes["mask"][:] = False  # as on a device, where no episode is relabelled
+    assert made._insert_episodes(episodes) == 0
     for length, kept, problem in (
         (None, None, r"length=null: agent=r2d2 needs a whole number"),
         (13, 4, r"kept_per_goal=4: agent=r2d2 keeps episodes in its replay; choose null"),

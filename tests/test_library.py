@@ -6,6 +6,7 @@ import inspect
 import json
 import os
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -256,6 +257,13 @@ def test_an_agent_is_loaded_on_a_device_that_there_may_be(agent):
             zipf.load_agent(agent.folder, device)
     with pytest.raises(zipf.UserError, match="plugins: cannot import nowhere"):
         zipf.load_agent(agent.folder, plugins="nowhere")
+
+
+def test_an_agent_that_was_compiled_is_loaded_where_there_is_no_compiler(agent, tmp_path):
+    shutil.copytree(agent.folder, tmp_path / "seed0")
+    file = tmp_path / "seed0" / "config.yaml"
+    file.write_text(file.read_text().replace("compile: auto", "compile: true"))
+    assert zipf.load_agent(tmp_path / "seed0").config.compile is False
 
 
 def played(agent, num_envs=3, **how):

@@ -114,6 +114,11 @@ def test_what_a_policy_was_trained_with_must_be_what_it_plays():
         ValueError, match="'gridworld': num_maps=20 of the policy, 5 of gridworld/zipf_2"
     ):
         played(policy)
+    levels = envs.split("gridworld")
+    own = envs.SplitLevel("gridworld/zipf_2", options={"num_maps": 5})
+    twenty = envs.Split("some", own, levels.uniform, levels.rare)
+    others = {name: value for name, value in SMALL.items() if name != "num_maps"}
+    assert evaluate.score(policy, twenty, episodes=2, **others)
     policy.env_options = {"num_toys": 20}
     with pytest.raises(ValueError, match="and gridworld/zipf_2 has no num_toys"):
         played(policy)
@@ -456,6 +461,25 @@ def test_recurrent_actors_of_torchrl():
     assert not drawn.equals(episodes)
     torch.manual_seed(99)
     assert played(torchrl.policy(policy), **TILES).equals(drawn)
+
+
+def test_an_actor_that_explores_by_a_schedule_is_played_without():
+    from tensordict.nn import TensorDictSequential
+    from torchrl.data import Categorical
+    from torchrl.modules import EGreedyModule, QValueModule
+
+    class ThirdAction(nn.Module):
+        def forward(self, tiles):
+            return torch.eye(8)[3].expand(*tiles.shape[:-2], 8)
+
+    greedy = [
+        TensorDictModule(ThirdAction(), ["tiles"], ["action_value"]),
+        QValueModule(action_space="categorical", spec=None),
+    ]
+    explores = EGreedyModule(spec=Categorical(8), eps_init=0.9, eps_end=0.05)
+    policy = torchrl.policy(TensorDictSequential(*greedy, explores))
+    without = torchrl.policy(TensorDictSequential(*greedy))
+    assert played(policy, **TILES).equals(played(without, **TILES))
 
 
 def test_a_tensordict_modules_spec_must_fit():

@@ -464,6 +464,22 @@ def test_a_replay_is_left_behind_where_envs_move(tmp_path, capsys, first):
     assert not np.array_equal(*episodes)
 
 
+def test_a_run_whose_replay_was_left_behind_begins_with_a_checkpoint(tmp_path, monkeypatch):
+    """Its first sequences take the place of the files that the checkpoint before refers to."""
+    chosen = [*TINY, *R2D2, "agent.storage=memmap", "device=cpu", "evaluation.episodes=2",
+              f"run_root={tmp_path}"]  # fmt: skip
+    assert runner.train(loading.load([*chosen, "updates=4", "collector.envs=host"])) == 0
+    config = loading.load([*chosen, "updates=8", "collector.envs=device"])
+    with monkeypatch.context() as patched:
+        patched.setattr(runner.Run, "step", lambda self: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            runner.train(config)
+    saved = checkpoint.load(config.folder / "checkpoint.pt")
+    assert saved["update"] == 4
+    assert "tensor_envs" in saved["source"]
+    assert runner.train(config) == 0
+
+
 def test_a_stored_memory_is_that_before_its_sequence():
     """Also without lag, where the next unroll is written over the one before."""
     late = []

@@ -41,9 +41,9 @@ class A2C(Learner):
     @torch.no_grad()
     def act(self, inputs, memory, generator, *, training=True):
         outputs = self.actor(inputs.unsqueeze(), memory)  # one frame is an unroll of length 1
-        probabilities = outputs.logits[0].softmax(-1)
-        actions = probabilities.cpu().multinomial(1, generator=generator).squeeze(-1)
-        return actions, outputs.state, {}  # `loss` needs nothing that is known only here
+        logits = outputs.logits[0]
+        actions = logits.softmax(-1).cpu().multinomial(1, generator=generator).squeeze(-1)
+        return actions, outputs.state, {"logits": logits}  # for `deterministic=True`
 
     @torch.no_grad()
     def value(self, inputs, memory):

@@ -19,6 +19,7 @@ from torchrl.data.utils import numpy_to_torch_dtype_dict
 from torchrl.envs import GymWrapper
 from torchrl.envs.gym_like import BaseInfoDictReader
 from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import EGreedyModule
 
 from zipf.adapters.networks import NetworkPolicy
 from zipf.envs.vector import ZipfVectorEnv
@@ -133,7 +134,8 @@ def policy(module: TensorDictModuleBase, *, deterministic: bool = False) -> Netw
         module: played in evaluation mode, without gradients, on its parameters' device. Its
             attribute `env_options`, where you give it one, names the constructor options that it
             was trained with.
-        deterministic: TorchRL's `ExplorationType.DETERMINISTIC` in the place of `RANDOM`.
+        deterministic: TorchRL's `ExplorationType.DETERMINISTIC` in the place of `RANDOM`; always
+            for a module with an `EGreedyModule`, which explores by a schedule.
 
     Raises:
         TypeError: `module` is no such module.
@@ -152,7 +154,8 @@ class _ModulePolicy(NetworkPolicy):
         parameter = next(module.parameters(), None)
         self.device = torch.device("cpu") if parameter is None else parameter.device
         trained_with = getattr(module, "env_options", None)
-        super().__init__("the policy", module.in_keys, trained_with, deterministic)
+        explores = any(isinstance(part, EGreedyModule) for part in module.modules())
+        super().__init__("the policy", module.in_keys, trained_with, deterministic or explores)
 
     def for_envs(
         self, observation_space: spaces.Dict, action_space: spaces.Discrete, seed: int

@@ -179,7 +179,8 @@ class Agent(ABC):
 
         Returns:
             Actions int64 [B], the memory after this frame, and tensors [B, ...] by name that
-            `update` will find in the unroll's steps.
+            `update` will find in the unroll's steps. An agent that draws actions returns their
+            `logits` [B, A] here, of which `deterministic=True` takes the largest.
         """
 
     def value(self, inputs: Inputs, memory: State) -> Tensor:

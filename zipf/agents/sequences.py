@@ -99,6 +99,8 @@ class Sequences:
         for cut in range(cuts):
             start = cut * length  # of the burn-in's rows, in `steps`
             there = (lengths > start).nonzero().flatten()
+            if not len(there):  # a device has as many rows as the longest episode may have
+                return
             item = {"steps": steps[start : start + self.rows, there].transpose(0, 1)}
             before = {name: part.to(self.device)[there] for name, part in memory.items()}
             item["memory"] = TensorDict(before, len(there))

@@ -30,7 +30,8 @@ def on_device(config: Config) -> bool:
 
 
 def only_on_the_host(config: Config) -> Iterator[str]:
-    """The options that take host environments, such as `exploration=rnd`."""
+    """The options that take host environments, such as `exploration=rnd`, and those of plugins,
+    which may derive from ours."""
     if not envs.has_tensor(envs.split(config.environment.split)):
         yield f"environment.split={config.environment.split}"
     if isinstance(config.runtime, RayOptions):
@@ -38,20 +39,20 @@ def only_on_the_host(config: Config) -> Iterator[str]:
     agent = agents()[config.agent.name]
     if agent.host_envs_only or not agent.captures:
         yield f"agent={config.agent.name}"
-    if not isinstance(config.exploration, CountOptions) and config.exploration.name != "none":
+    if type(config.exploration) is not CountOptions and config.exploration.name != "none":
         yield f"exploration={config.exploration.name}"
     if config.reweighting.name != "none":
         yield f"reweighting={config.reweighting.name}"
     if config.episodic != NO_EPISODIC:
         yield f"episodic={config.episodic.name}"
     hindsight, augmentation = config.hindsight, config.augmentation
-    if isinstance(hindsight, AchievedOptions):
+    if type(hindsight) is AchievedOptions:
         for name in ("kept_per_goal", "matching_cost"):
             if value := getattr(hindsight, name):
                 yield f"hindsight.{name}={value}"
     elif hindsight.name != "none":
         yield f"hindsight={hindsight.name}"
-    if isinstance(augmentation, RandomAugmentationOptions):
+    if type(augmentation) is RandomAugmentationOptions:
         if problem := host_alone(augmentation):
             yield problem
     elif augmentation.name != "none":

@@ -18,8 +18,8 @@ class AgentPolicy:
         device: where the agent computes.
 
     Attributes:
-        deterministic: take the most probable action in the place of a draw. An agent whose `act`
-            returns no `logits`, such as R2D2, draws nothing when it is scored.
+        deterministic: take the most probable action in the place of a draw, of an agent whose `act`
+            returns `logits`. Others, such as R2D2, are taken to draw nothing when they are scored.
     """
 
     def __init__(self, agent: Agent, *, seed: int, device: str):
@@ -47,4 +47,5 @@ class AgentPolicy:
         )
         if self.deterministic and "logits" in of_step:
             self.action = of_step["logits"].argmax(-1)
+        self.action = self.action.to(self.device)  # an agent may draw on the host
         return self.action.cpu().numpy()

@@ -63,18 +63,24 @@ def as_policy(
 
 
 def check_env_options(
-    trained_with: Mapping[str, Any] | None, split: str, played: Mapping[str, Mapping[str, Any]]
+    trained_with: Mapping[str, Any] | None,
+    split: envs.Split,
+    played: Mapping[str, Mapping[str, Any]],
 ) -> None:
-    """Raises `ValueError` where a policy was trained with other constructor options.
+    """Raises `ValueError` where a policy was trained with other constructor options than those that
+    the split itself gives a level.
 
     Args:
         trained_with: the options that matter to the policy; None where it names none.
-        split: the name of the split that is played.
+        split: the split that is played.
         played: the options of each of its levels.
     """
+    own = {level.name: level.options for level in split.all_levels}
     differing = []
     for name, value in (trained_with or {}).items():
         for level, options in played.items():
+            if name in own[level]:
+                continue
             if name not in options:
                 differing.append(f"{name}={value} of the policy, and {level} has no {name}")
                 break
@@ -83,7 +89,8 @@ def check_env_options(
                 break
     if differing:
         raise ValueError(
-            f"the policy's env_options differ from those of split {split!r}: {'; '.join(differing)}"
+            f"the policy's env_options differ from those of split {split.name!r}: "
+            f"{'; '.join(differing)}"
         )
 
 

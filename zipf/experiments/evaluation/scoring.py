@@ -172,7 +172,7 @@ def score(
     seed = whole("seed", seed, 0)
     observation_space, action_space = _spaces(split, level_options)
     played = env_options(split, **level_options)
-    check_env_options(getattr(policy, "env_options", None), split.name, played)
+    check_env_options(getattr(policy, "env_options", None), split, played)
     draws = derive_seed(seed, "actions")
     with own_torch_draws(draws):
         results = evaluate(

@@ -202,7 +202,8 @@ def load_agent(
     plugins = [plugins] if isinstance(plugins, str) else plugins
     composing.load_plugins(plugins)
     folder = Path(folder).expanduser()
-    config = run_folder.read_config(folder, plugins).model_copy(update={"device": device})
+    here = {"device": device, "compile": False}
+    config = run_folder.read_config(folder, plugins).model_copy(update=here)
     if line := run_folder.other_images(folder):
         logging.getLogger("zipf").warning(line)
     path = run_folder.agent_file(folder)

@@ -185,6 +185,7 @@ def _played_levels(
 ) -> list[PlayedLevel]:
     """An env of each level."""
     level_options = trained.config.level_options if trained else {}
+    own = {one.name: one.options for one in trained.config.split.all_levels} if trained else {}
     agent = None
     who = f"policy {policy}"
     if trained and policy == "agent":
@@ -195,7 +196,7 @@ def _played_levels(
         who = f"agent {trained.config.row.title}, seed {trained.config.seed}"
     levels = []
     for level in keys:
-        env = _make(level, level_options)
+        env = _make(level, {**level_options, **own.get(level, {})})
         if trained and policy == "agent":
             _check_spaces(level, env, trained)
         if options.view == "agent" and not has_image(env):

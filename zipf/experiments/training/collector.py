@@ -18,6 +18,7 @@ from zipf.experiments.hooks.hook import Hook, Parts, Row
 from zipf.experiments.training.unroll_buffers import CARRIED, UnrollBuffers
 
 OUTCOMES = ("return", "length", "success")
+OWN_STATE = ("environment", "memory", "generator", "inputs", "episodes")  # saved beside the hooks'
 
 
 class Step(NamedTuple):
@@ -64,6 +65,12 @@ class Collector(ABC):
         if burn_in > unroll_length:
             raise ValueError(
                 f"a burn-in of {burn_in} rows is longer than an unroll of {unroll_length}"
+            )
+        names = [hook.name for hook in hooks]
+        if taken := [name for name in names if name in OWN_STATE or names.count(name) > 1]:
+            raise ValueError(
+                f"a hook's name is where its state is saved, and {taken[0]!r} is the collector's "
+                "own or another hook's"
             )
         self.env = env
         self.agent = agent

@@ -94,7 +94,7 @@ def train(
             with stop, run:  # the end of a run is not cut short, either
                 if run.evaluation_is_due:
                     run.evaluate()
-                if run.is_new:
+                if run.is_new or run.has_moved:  # a replay's files are of the envs before
                     run.save()
                 over = int(bool(run.outputs.reason))
                 while run.update < config.updates and not run.may_stop(stop.requested or over):
@@ -174,6 +174,8 @@ class Run:
         evaluated: the update of the last evaluation; -1 for none.
         stop: says whether the run is to stop.
         is_new: whether it was started rather than resumed from a checkpoint.
+        has_moved: whether its envs were stepped on the host before and now on a device, or the
+            other way round.
 
     Raises (here and in the methods):
         UserError: the run cannot begin, go on or be written.
@@ -214,6 +216,7 @@ class Run:
             run_folder.find_checkpoint(config) if self.learner.is_first else None
         )
         self.is_new = saved is None
+        self.has_moved = False
         self._pretrained = None
         if self.is_new:
             self._pretrained = pretrained.begin(config, self.agent, self.learner)
@@ -523,7 +526,7 @@ class Run:
             self._lengths = saved["tables"]
             self.clock.load_state_dict(saved["clock"])
             was_on_device = "tensor_envs" in saved["source"]
-            has_moved = was_on_device == isinstance(self.env, ZipfVectorEnv)
+            has_moved = self.has_moved = was_on_device == isinstance(self.env, ZipfVectorEnv)
             if has_moved and "replay" in saved["agent"]:  # codes there, images here
                 saved["agent"] |= {"replay": {}, "prefix": {}}
                 saved["without_replay"] = True
