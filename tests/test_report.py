@@ -383,7 +383,7 @@ def test_each_runs_own_window_in_one_table(tmp_path: Path) -> None:
     write_run(tmp_path, scores, window=[100, 300])
     write_run(tmp_path, scores, condition="r2d2", window=[50, 100])
     write_run(tmp_path, scores, condition="r2d2", window=[200, 200], seed=1)
-    table = only_table(tmp_path, windows.OwnWindows())
+    table = only_table(tmp_path, "own")
     assert line(table, "impala", "rare")["score"] == pytest.approx(0.4)
     assert line(table, "r2d2", "rare")["score"] == pytest.approx((0.15 + 0.4) / 2)
     assert line(table, "r2d2", "rare")["window"] == "50:100, 200:200"
@@ -397,7 +397,7 @@ def test_each_runs_own_window_in_one_table(tmp_path: Path) -> None:
 
 def test_where_all_runs_have_the_same_own_window_nothing_changes(runs: Path) -> None:
     asked, usual = (
-        only_table(runs / "gridworld", windows.OwnWindows()),
+        only_table(runs / "gridworld", "own"),
         only_table(runs / "gridworld"),
     )
     assert markdown.markdown(asked) == markdown.markdown(usual)

@@ -228,7 +228,9 @@ def _main() -> int:
             raise UserError(f"this is a sweep of {len(jobs)} jobs: add -m")
         if not arguments.cfg:
             if of_hydra := [word for word in arguments.overrides if sweeps.for_hydra(word)]:
-                raise UserError(f"{of_hydra[0]}: is for a sweep: add -m, or leave it out")
+                raise UserError(
+                    f"{of_hydra[0]}: is for the jobs of a sweep: add -m, or leave it out"
+                )
             stopped = _train(jobs[0].config, sys.argv[1:])
             return 128 + stopped if stopped else 0
     sys.argv += [path for path in [composing.search_path()] if path]

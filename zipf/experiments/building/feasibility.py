@@ -265,13 +265,9 @@ def _frame_bytes(config: Config) -> int:
 
 def _first_env(config: Config) -> envs.ZipfVectorEnv:
     """One env of the first level of training, closed: what it shows and takes can be asked for."""
-    level = config.split.train[0]
-    key = json.dumps([config.environment.split, str(level), config.level_options], default=str)
-    if key not in _made:  # the jobs of a sweep that follow each other have mostly the same one
-        _made.clear()
-        _made[key] = envs.make_vec(level, 1, **config.level_options)
-        _made[key].close()
-    return _made[key]
+    env = envs.make_vec(config.split.train[0], 1, **config.level_options)
+    env.close()
+    return env
 
 
 def _no_folder(config: Config) -> str | None:
@@ -290,7 +286,6 @@ def _no_folder(config: Config) -> str | None:
 BESIDE_A_FRAME = 64  # bytes: reward, action, flags and so on
 LARGEST_SIZE = 2**16  # ours: the weights between two such layers take 17 GB
 
-_made: dict[str, envs.ZipfVectorEnv] = {}  # the last one
 _tried: dict[tuple[str, str], list[str]] = {}
 
 
