@@ -396,10 +396,7 @@ def test_each_runs_own_window_in_one_table(tmp_path: Path) -> None:
 
 
 def test_where_all_runs_have_the_same_own_window_nothing_changes(runs: Path) -> None:
-    asked, usual = (
-        only_table(runs / "gridworld", "own"),
-        only_table(runs / "gridworld"),
-    )
+    asked, usual = only_table(runs / "gridworld", "own"), only_table(runs / "gridworld")
     assert markdown.markdown(asked) == markdown.markdown(usual)
 
 

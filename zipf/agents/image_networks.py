@@ -192,8 +192,8 @@ def distinct_patches(image: Tensor, patch: int) -> tuple[Tensor, Tensor] | None:
     # Lines of a patch are copied as items of as many bytes, which is three times as fast as bytes
     # one by one. Words of 8 bytes are hashed and compared; the last is padded with zeros.
     padded = np.zeros((n, rows, columns, -(-patch * line // 8)), np.int64)
-    where = (*padded.shape[:3], patch), (*padded.strides[:3], line)
-    lines = np.ndarray(where[0], f"V{line}", padded, 0, where[1])
+    shape, strides = (*padded.shape[:3], patch), (*padded.strides[:3], line)
+    lines = np.ndarray(shape, f"V{line}", padded, strides=strides)
     pixels = image.contiguous().numpy().reshape(n, rows, patch, columns * line)
     lines[...] = pixels.view(f"V{line}").swapaxes(2, 3)
     words = padded.reshape(n * rows * columns, -1)
