@@ -316,14 +316,14 @@ def random_scenes(seed, envs=6, *, patterns=False, **more):
             repeat = ((1, 1), (0, 0), (1.5, 0), (0, 0.7))[k]
             ends = corners[k] + corners[(k + 1) % 4]
             texture, flags = int(rng.integers(len(STACK))), GROUNDED * (k % 2)
-            scenes.add_wall(world, ends, (0, 2.5), texture, flags=flags, repeat=repeat)
+            scenes.add_walls(world, ends, (0, 2.5), texture, flags=flags, repeat=repeat)
         for k in range(5):
-            scenes.add_wall(
+            scenes.add_walls(
                 world, rng.uniform((0, 0, 0, 0), (5, 4, 5, 4)), (rng.uniform(0, 1), 1.5),
                 int(rng.integers(len(STACK))), flags=TWO_SIDED * (k % 2), repeat=(1, 1),
                 tint=rng.integers(100, 256, 3),
             )  # fmt: skip
-        scenes.add_wall(
+        scenes.add_walls(
             world, rng.uniform((0, 0, 0, 0), (5, 4, 5, 4)), (0, 1), textures.index("fence"),
             flags=TWO_SIDED | SEE_THROUGH,
         )  # fmt: skip

@@ -156,7 +156,7 @@ def room(colours=((250, 0, 0), (0, 250, 0), (0, 0, 250), (250, 250, 0))):
     scenes = Scenes(1, walls=4, flats=2)
     corners = ((2, -2), (2, 2), (-2, 2), (-2, -2))
     for k in range(4):
-        scenes.add_wall(0, corners[k] + corners[(k + 1) % 4], (0, 2), k)
+        scenes.add_walls(0, corners[k] + corners[(k + 1) % 4], (0, 2), k)
     scenes.add_flat(0, (-2, -2, 2, 2), 0, 4)
     scenes.add_flat(0, (-2, -2, 2, 2), 2, 5, flags=FACES_DOWN)
     scenes.camera[0, 2] = 1
@@ -205,7 +205,7 @@ def test_walls_are_visible_from_their_left_and_not_mirrored():
     stack[0, :half, half:, :3] = 0, 250, 0  # top right
     scenes = Scenes(1, walls=1)
     scenes.sky[:] = 0
-    scenes.add_wall(0, (1, -1, 1, 1), (-1, 1), 0)
+    scenes.add_walls(0, (1, -1, 1, 1), (-1, 1), 0)
     image = view(scenes, stack, 64, 64)[0]
     assert image[16, 16, 0] > 100
     assert image[16, 48, 1] > 100
@@ -253,7 +253,7 @@ def test_a_screen_shows_its_worlds_image():
     rng = np.random.default_rng(0)
     scenes.screen[:] = rng.integers(0, 256, scenes.screen.shape)
     for env in range(2):
-        scenes.add_wall(env, (1, -1, 1, 1), (-1, 1), SCREEN)
+        scenes.add_walls(env, (1, -1, 1, 1), (-1, 1), SCREEN)
     images = view(scenes, width=48, height=48)
     assert (images == scenes.screen[..., :3].repeat(12, 1).repeat(8, 2)).all()
 
@@ -263,7 +263,7 @@ def test_screens_of_twice_the_size_are_averaged():
     scenes = Scenes(1, walls=1, screen=(96, 96))
     rng = np.random.default_rng(0)
     scenes.screen[:] = rng.integers(0, 256, scenes.screen.shape)
-    scenes.add_wall(0, (1, -1, 1, 1), (-1, 1), SCREEN)
+    scenes.add_walls(0, (1, -1, 1, 1), (-1, 1), SCREEN)
     image = view(scenes, width=48, height=48)[0]
     texels = scenes.screen[0, ..., :3].astype(float)
     assert abs(image - (texels[::2, ::2] + texels[1::2, 1::2]) / 2).max() <= 0.5
@@ -278,7 +278,7 @@ def test_a_screen_seen_from_aside_is_where_a_wall_would_be():
     scenes.screen[0] = picture[0]
     scenes.sky[:] = 0
     scenes.camera[0] = 0.1, 0.2, 0.05, 0.4, -0.2
-    scenes.add_wall(0, (1, -1, 1, 1), (-1, 1), 0)
+    scenes.add_walls(0, (1, -1, 1, 1), (-1, 1), 0)
     texture = picture.repeat(SIZE // 64, 1).repeat(SIZE // 64, 2)
     wall = view(scenes, texture, width=96, height=72)[0, ..., 0] > 40
     scenes.wall_looks[0, 0, 0] = SCREEN
@@ -324,9 +324,9 @@ def maze(seed, envs=30):
                 r, c = row + down, column + right
                 if 0 <= r < size[0] and 0 <= c < size[1] and not solid[r, c]:
                     ends = np.array(ends) + (column, row, column, row)
-                    scenes.add_wall(
+                    scenes.add_walls(
                         env, ends * 0.5 + (-3, 2, -3, 2), (0, 0.5), int(rng.integers(20)),
-                        face=(row * size[1] + column) * 4 + side,
+                        faces=(row * size[1] + column) * 4 + side,
                     )  # fmt: skip
         free = np.argwhere(~solid)
         y, x = free[rng.integers(len(free))] + rng.uniform(0.1, 0.9, 2)
@@ -356,7 +356,7 @@ def test_grid_skips_hidden_faces():
     scenes.grid[0] = 0, 0, 1
     scenes.camera[0] = 1.5, 1.5, 0.5, 0, 0
     east = (1 * 3 + 2) * 4 + 2
-    scenes.add_wall(0, (2, 1, 2, 2), (0, 1), 0, face=east)
+    scenes.add_walls(0, (2, 1, 2, 2), (0, 1), 0, faces=east)
     assert view(scenes).any()
     scenes.wall_face[0, 0] = east - 2  # its back
     assert not view(scenes).any()
@@ -412,7 +412,7 @@ def test_no_background_between_surfaces():
         x, y = 3 * np.cos(angles), 3 * np.sin(angles)
         for k in range(6):
             for heights in ((0, 0.8), (0.8, 2)):
-                scenes.add_wall(env, (x[k], y[k], x[k + 1], y[k + 1]), heights, 0)
+                scenes.add_walls(env, (x[k], y[k], x[k + 1], y[k + 1]), heights, 0)
         for west in (-3, 0):
             scenes.add_flat(env, (west, -3, west + 3, 3), 0, 0)
             scenes.add_flat(env, (west, -3, west + 3, 3), 2, 0, flags=FACES_DOWN)
@@ -513,9 +513,9 @@ def test_textures_meshes_and_screens_that_do_not_exist():
 
 def test_capacities():
     scenes = Scenes(1, walls=1, flats=1, tile_cells=3)
-    scenes.add_wall(0, (0, 0, 1, 0), (0, 1), 0)
+    scenes.add_walls(0, (0, 0, 1, 0), (0, 1), 0)
     with pytest.raises(ValueError, match="env 0 has room for 1 walls"):
-        scenes.add_wall(0, (0, 0, 1, 0), (0, 1), 0)
+        scenes.add_walls(0, (0, 0, 1, 0), (0, 1), 0)
     with pytest.raises(ValueError, match="4 tiles in an env with room for 3"):
         scenes.add_flat(0, (0, 0, 1, 1), 0, 0, tiles=np.zeros((2, 2), int))
     scenes.flat_count[0] = 1

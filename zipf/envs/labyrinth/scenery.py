@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from zipf.compiled import compiled
 from zipf.envs.labyrinth import materials
@@ -126,32 +126,15 @@ class Scenery:
             )  # fmt: skip
 
     def add_walls(
-        self, world: int, ends: NDArray[np.floating], heights: tuple[float, float],
-        textures: NDArray[np.integer], faces: NDArray[np.integer], flags: int = 0,
-        repeat: tuple[float, float] = (0.0, 0.0), tint: materials.Colour = materials.WHITE,
+        self, world: int, ends: ArrayLike, heights: tuple[float, float], textures: ArrayLike, *,
+        faces: ArrayLike = -1, flags: int = 0, repeat: float = 0.0,
+        tint: materials.Colour = materials.WHITE,
     ) -> int:  # fmt: skip
-        """Adds walls with a texture each and returns the first one's number.
-
-        Args:
-            ends: [walls, 4], x0, y0, x1, y1 in units; see `Scenes`.
-            heights: bottom and top, units.
-            textures, faces: [walls].
-            repeat: units per repeat of the texture; 0: once over the wall.
-        """
-        scenes = self.scenes
-        first = int(scenes.wall_count[world])
-        last = first + len(ends)
-        if last > WALLS:
-            raise ValueError(f"{last} walls in an env with room for {WALLS}")
-        rows = np.s_[world, first:last]
-        scenes.walls[rows][:, :4] = ends * METRES
-        scenes.walls[rows][:, 4:] = np.array(heights) * METRES
-        scenes.wall_looks[rows] = np.stack([textures, np.full_like(textures, flags)], 1)
-        scenes.wall_repeat[rows] = np.array(repeat) * METRES
-        scenes.wall_tint[rows] = tint
-        scenes.wall_face[rows] = faces
-        scenes.wall_count[world] = last
-        return first
+        """`Scenes.add_walls` with ends, heights and `repeat` in units."""
+        return self.scenes.add_walls(
+            world, np.asarray(ends) * METRES, np.array(heights) * METRES, textures, faces=faces,
+            flags=flags, repeat=repeat * METRES, tint=tint,
+        )  # fmt: skip
 
 
 def faces(solid: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:

@@ -122,7 +122,7 @@ class World:
             # Numbers of faces count the columns of the scene's grid.
             cell, side = np.divmod(numbers, 4)
             numbers = (cell // columns * GRID + cell % columns) * 4 + side
-            scenery.add_walls(i, ends, (0.0, CELL), textures, numbers, flags=GROUNDED)
+            scenery.add_walls(i, ends, (0.0, CELL), textures, faces=numbers, flags=GROUNDED)
             scenes.solid[i] = envs.solid[i]
             scenes.grid[i] = 0, 0, CELL * METRES
         if isinstance(floors, str):
@@ -164,10 +164,9 @@ class World:
                 beside = row + up, column + right
                 if not there[beside] or heights[beside] < height:
                     sides.append((x + x0 * CELL, y + y0 * CELL, x + x1 * CELL, y + y1 * CELL))
-            riser = np.full(len(sides), materials.index("riser"))
-            none = np.full(len(sides), -1)
             if sides:
-                scenery.add_walls(i, np.array(sides), (height - DEEP, height), riser, none)
+                riser = materials.index("riser")
+                scenery.add_walls(i, sides, (height - DEEP, height), riser)
 
     def add_block(
         self,
@@ -187,11 +186,10 @@ class World:
         self._envs.see_through[i, box] = texture is None
         if texture is not None:
             x, y = (low[0], high[0]), (low[1], high[1])
-            ends = np.array([(x[x0], y[y0], x[x1], y[y1]) for _, _, (x0, y0, x1, y1) in SIDES])
-            textures = np.full(4, materials.index(texture))
+            ends = [(x[x0], y[y0], x[x1], y[y1]) for _, _, (x0, y0, x1, y1) in SIDES]
             self._scenery.add_walls(
-                i, ends, (low[2], high[2]), textures, np.full(4, -1),
-                flags=GROUNDED if low[2] == 0.0 else 0, repeat=(repeat, repeat), tint=tint,
+                i, ends, (low[2], high[2]), materials.index(texture),
+                flags=GROUNDED if low[2] == 0.0 else 0, repeat=repeat, tint=tint,
             )  # fmt: skip
         return box
 
@@ -236,8 +234,8 @@ class World:
         points = np.stack([far * np.cos(corners), far * np.sin(corners)], 1)
         ends = np.concatenate([points, np.roll(points, -1, 0)], 1)
         self._scenery.add_walls(
-            i, ends, (0.0, height), np.full(sides, materials.index(texture)), np.full(sides, -1),
-            flags=GROUNDED, repeat=(CELL, CELL), tint=tint,
+            i, ends, (0.0, height), materials.index(texture),
+            flags=GROUNDED, repeat=CELL, tint=tint,
         )  # fmt: skip
 
     def add_picture(
@@ -247,11 +245,9 @@ class World:
         (radians) and height above the floor."""
         middle = distance * np.array([math.cos(angle), math.sin(angle)])
         along = size / 2 * np.array([-math.sin(angle), math.cos(angle)])
-        ends = np.array([[*(middle - along), *(middle + along)]])
+        ends = (*(middle - along), *(middle + along))
         heights = (height - size / 2, height + size / 2)
-        self._scenery.add_walls(
-            self._number, ends, heights, np.array([texture]), np.array([-1]), flags=TWO_SIDED
-        )
+        self._scenery.add_walls(self._number, ends, heights, texture, flags=TWO_SIDED)
 
     def add_screen(self, distance: float, height: float, side: float) -> Screen:
         """Adds a white square screen that faces the origin from the north."""
@@ -334,8 +330,9 @@ class World:
         stops = ends[:, :2] + along * 0.875 + 2 * outward
         numbers = (cell // columns * GRID + cell % columns) * 4 + side
         self._scenery.add_walls(
-            self._number, np.concatenate([starts, stops], 1), (12.5, 87.5), pictures, numbers
-        )
+            self._number, np.concatenate([starts, stops], 1), (12.5, 87.5), pictures,
+            faces=numbers,
+        )  # fmt: skip
 
     def add_item(
         self,
@@ -389,9 +386,8 @@ class World:
         x, y = middle(cell)
         half = np.array([0.0, CELL / 2]) if eastwards else np.array([CELL / 2, 0.0])
         wall = scenery.add_walls(
-            i, np.array([[*((x, y) - half), *((x, y) + half)]]), (0.0, CELL),
-            np.array([materials.index(texture)]), np.array([-1]), flags=TWO_SIDED | SEE_THROUGH,
-            tint=tint,
+            i, (*((x, y) - half), *((x, y) + half)), (0.0, CELL), materials.index(texture),
+            flags=TWO_SIDED | SEE_THROUGH, tint=tint,
         )  # fmt: skip
         self._doors[door] = Door(wall, np.array([x, y]), half, cell, texture != BARS)
         self.set_door(door, is_open=True)

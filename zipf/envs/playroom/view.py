@@ -1,6 +1,7 @@
 """The images of the playroom: the agent's view, and larger frames for people to watch."""
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from zipf.envs.render3d import (
     Renderer,
     Scenes,
     load_meshes,
+    pack_textures,
     textures,
 )
 from zipf.envs.render3d.shadows import DARKNESS, cast
@@ -147,14 +149,14 @@ def _build_room(scenes: Scenes, i: int) -> None:
     corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
     sides = [(*one, *two) for one, two in zip(corners, corners[1:] + corners[:1], strict=True)]
     for ends, paper in zip(sides, varied_looks.WALLS, strict=True):
-        scenes.add_wall(i, ends, (SKIRTING, CEILING), textures.index(paper), repeat=(1.0, 1.0))
+        scenes.add_walls(i, ends, (SKIRTING, CEILING), textures.index(paper), repeat=(1.0, 1.0))
     for ends in sides:
-        scenes.add_wall(i, ends, (0.0, SKIRTING), textures.index("skirting"), flags=GROUNDED)
+        scenes.add_walls(i, ends, (0.0, SKIRTING), textures.index("skirting"), flags=GROUNDED)
     near = half - HANGING
     (left, right), heights = WINDOW
-    scenes.add_wall(i, (near, left, near, right), heights, textures.index("window"))
+    scenes.add_walls(i, (near, left, near, right), heights, textures.index("window"))
     (left, right), heights = PICTURE
-    scenes.add_wall(i, (-near, right, -near, left), heights, textures.index("picture"))
+    scenes.add_walls(i, (-near, right, -near, left), heights, textures.index("picture"))
     square = (-half, -half, half, half)
     walled = EAST | NORTH | WEST | SOUTH
     floor = textures.index(varied_looks.FLOOR)
@@ -214,8 +216,13 @@ def _shade(shadow, item, middle, frame, size, furnished, furniture):
     cast(shadow, item[X], item[Y], top, angle, length, breadth, height)
 
 
+@cache
+def _textures() -> NDArray[np.uint32]:
+    return pack_textures(textures.stack())
+
+
 def _renderer(height: int, width: int) -> Renderer:
-    return Renderer(load_meshes(), textures.stack(), width=width, height=height, fov=FIELD_OF_VIEW)
+    return Renderer(load_meshes(), _textures(), width=width, height=height, fov=FIELD_OF_VIEW)
 
 
 def _captioned(image: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:

@@ -91,14 +91,18 @@ def _rounded_normals(
     areas = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    around: dict[int, list[int]] = {}
-    for corner, vertex in enumerate(meshes.triangles.ravel().tolist()):
-        around.setdefault(vertex, []).append(corner // 3)
-    rounded = np.empty((len(normals), 3, 3))
-    for corner, vertex in enumerate(meshes.triangles.ravel().tolist()):
-        own, others = normals[corner // 3], around[vertex]
-        near = normals[others] @ own > _ROUND
-        rounded[corner // 3, corner % 3] = (areas[others] * near) @ normals[others]
+    vertex = meshes.triangles.ravel()
+    corners_at = np.argsort(vertex, kind="stable")  # by vertex
+    number = np.bincount(vertex)
+    last = np.cumsum(number)[vertex]
+    # Every corner with every triangle around its vertex.
+    one = np.repeat(np.arange(len(vertex)), number[vertex])
+    step = np.arange(len(one)) - np.repeat(np.cumsum(number[vertex]), number[vertex])
+    other = corners_at[last[one] + step] // 3
+    near = (normals[one // 3] * normals[other]).sum(1) > _ROUND
+    rounded = np.zeros((len(vertex), 3))
+    np.add.at(rounded, one[near], areas[other[near], None] * normals[other[near]])
+    rounded = rounded.reshape(-1, 3, 3)
     return rounded / np.maximum(np.linalg.norm(rounded, axis=2, keepdims=True), 1e-12)
 
 

@@ -169,28 +169,38 @@ class Scenes:
             (self.overlays, self.overlay_colours, self.overlay_count),
         )  # fmt: skip
 
-    def add_wall(
+    def add_walls(
         self,
         i: int,
         ends: ArrayLike,
-        heights: tuple[float, float],
-        texture: int,
+        heights: ArrayLike,
+        textures: ArrayLike,
         *,
         flags: int = 0,
-        repeat: tuple[float, float] = (0.0, 0.0),
+        repeat: ArrayLike = 0.0,
         tint: ArrayLike = 255,
-        face: int = -1,
+        faces: ArrayLike = -1,
     ) -> int:
-        """Adds a wall along `ends` (x0, y0, x1, y1) and returns its index.
-        Raises ValueError if the env's walls are at their capacity."""
-        index = _take(self.wall_count, i, self.walls.shape[1], "walls")
-        self.walls[i, index, :4] = ends
-        self.walls[i, index, 4:] = heights
-        self.wall_looks[i, index] = texture, flags
-        self.wall_repeat[i, index] = repeat
-        self.wall_tint[i, index] = tint
-        self.wall_face[i, index] = face
-        return index
+        """Adds a wall, or several, and returns the first one's index.
+
+        Args:
+            ends: x0, y0, x1, y1, [4] or [walls, 4].
+            heights: bottom and top.
+            textures, faces: of each wall, [walls], or one for all.
+
+        Raises ValueError if there is no room for so many walls in the env.
+        """
+        lines = np.atleast_2d(np.asarray(ends))
+        first = _take(self.wall_count, i, len(lines), self.walls.shape[1], "walls")
+        rows = np.s_[i, first : first + len(lines)]
+        self.walls[rows][:, :4] = lines
+        self.walls[rows][:, 4:] = heights
+        self.wall_looks[rows][:, 0] = textures
+        self.wall_looks[rows][:, 1] = flags
+        self.wall_repeat[rows] = repeat
+        self.wall_tint[rows] = tint
+        self.wall_face[rows] = faces
+        return first
 
     def add_flat(
         self,
@@ -209,7 +219,7 @@ class Scenes:
         `tiles` [rows, columns] makes it a patchwork, written to `tiles[world]`.
         Raises ValueError if the env's flats or tiles are at their capacity.
         """
-        index = _take(self.flat_count, i, self.flats.shape[1], "flats")
+        index = _take(self.flat_count, i, 1, self.flats.shape[1], "flats")
         self.flats[i, index, :4] = rectangle
         self.flats[i, index, 4] = height
         self.flat_looks[i, index] = texture, flags
@@ -258,10 +268,10 @@ class Scenes:
         self.terrain_tint[i] = tint
 
 
-def _take(counts: NDArray[np.int32], i: int, capacity: int, kind: str) -> int:
-    """The next free index of an env."""
+def _take(counts: NDArray[np.int32], i: int, number: int, capacity: int, kind: str) -> int:
+    """The next free index of an env, with `number` taken."""
     index = int(counts[i])
-    if index >= capacity:
+    if index + number > capacity:
         raise ValueError(f"env {i} has room for {capacity} {kind}")
-    counts[i] += 1
+    counts[i] += number
     return index
