@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from zipf.envs.labyrinth.grids import STEPS, Cell, distances, random_path
-from zipf.envs.labyrinth.levels import explore_goals
+from zipf.envs.labyrinth.levels import explore
 from zipf.envs.labyrinth.levels.keys_doors import Plan, random_plan, solve
 from zipf.envs.labyrinth.levels.skymaze import random_heights
 from zipf.envs.labyrinth.mazes import Maze, MazeOptions, random_maze
@@ -120,7 +120,7 @@ def test_mazes_have_the_statistics_of_the_originals(
 def test_sizes_of_rooms() -> None:
     sizes = []
     for seed in range(150):
-        maze = random_maze(np.random.default_rng(seed), explore_goals.SMALL)
+        maze = random_maze(np.random.default_rng(seed), explore.SMALL)
         sizes += [_size(maze, number) for number in range(len(maze.spawns))]
     shares = {size: sizes.count(size) / len(sizes) for size in set(sizes)}
     assert set(shares) == {(3, 3), (3, 5), (5, 3)}
@@ -138,7 +138,7 @@ def _size(maze: Maze, number: int) -> tuple[int, int]:
 @given(SEEDS)
 def test_random_paths_are_simple_and_lead_there(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    maze = random_maze(rng, explore_goals.SMALL)
+    maze = random_maze(rng, explore.SMALL)
     free = [(int(r), int(c)) for r, c in np.argwhere(~maze.solid)]
     start, goal = free[int(rng.integers(len(free)))], free[int(rng.integers(len(free)))]
     path = random_path(maze.solid, start, goal, rng)

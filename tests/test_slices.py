@@ -104,6 +104,8 @@ def test_envs_know_their_levels(workers: dict[str, int]) -> None:
     one, several = (envs.make_train(split, 7, **given, **SMALL[LIFT]) for given in ({}, workers))
     assert are_equal(one.level_of_envs, several.level_of_envs)
     assert len(set(one.level_of_envs)) == 3
+    assert [one.name_of(i) for i in range(7)] == [several.name_of(i) for i in range(7)]
+    assert one.name_of(0) != one.name_of(6)
     several.close()
     with pytest.raises(ValueError, match="num_envs must be at least 3, an env for each"):
         envs.make_train(split, 2, **{name: 2 for name in workers}, **SMALL[LIFT])

@@ -126,6 +126,13 @@ class Slices(ZipfVectorEnv):
         """What `make` makes of every slice."""
         return [make(part) for part in self.parts]
 
+    def name_of(self, i: int) -> str:
+        # Every slice answers, for the env of its own that is nearest.
+        names = self.each(
+            "name_of", lambda rows: (min(max(i, rows.start), rows.stop - 1) - rows.start,)
+        )
+        return str(next(name for name, rows in zip(names, self.rows, strict=True) if i < rows.stop))
+
     def render(self) -> tuple[Any, ...] | None:
         """The envs' frames; None without a `render_mode`."""
         if self.render_mode is None:

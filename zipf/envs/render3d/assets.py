@@ -100,9 +100,8 @@ def _rounded_normals(
     step = np.arange(len(one)) - np.repeat(np.cumsum(number[vertex]), number[vertex])
     other = corners_at[last[one] + step] // 3
     near = (normals[one // 3] * normals[other]).sum(1) > _ROUND
-    rounded = np.zeros((len(vertex), 3))
-    np.add.at(rounded, one[near], areas[other[near], None] * normals[other[near]])
-    rounded = rounded.reshape(-1, 3, 3)
+    rounded = np.zeros((len(normals), 3, 3))
+    np.add.at(rounded.reshape(-1, 3), one[near], areas[other[near], None] * normals[other[near]])
     return rounded / np.maximum(np.linalg.norm(rounded, axis=2, keepdims=True), 1e-12)
 
 

@@ -216,7 +216,7 @@ class Scenes:
     ) -> int:
         """Adds a flat over `rectangle` (x0, y0, x1, y1) and returns its index.
 
-        `tiles` [rows, columns] makes it a patchwork, written to `tiles[world]`.
+        `tiles` [rows, columns] makes it a patchwork, written to `tiles[i]`.
         Raises ValueError if the env's flats or tiles are at their capacity.
         """
         index = _take(self.flat_count, i, 1, self.flats.shape[1], "flats")

@@ -62,14 +62,14 @@ psychlab_arbitrary_visuomotor_mapping psychlab_memory:ArbitraryVisuomotorMapping
 psychlab_continuous_recognition       psychlab_memory:ContinuousRecognition         300  0.224 58.3
 psychlab_sequential_comparison        psychlab_comparison:SequentialComparison      300  0.129 39.5
 psychlab_visual_search                psychlab_search:VisualSearch                  150  0.085 78.5
-explore_object_locations_small        explore_object_locations:ObjectLocationsSmall  90  3.575 74.45
-explore_object_locations_large        explore_object_locations:ObjectLocationsLarge 120  4.673 65.65
-explore_obstructed_goals_small        explore_goals:ObstructedGoalsSmall             90   6.76 206
-explore_obstructed_goals_large        explore_goals:ObstructedGoalsLarge            120   2.61 119.5
-explore_goal_locations_small          explore_goals:GoalLocationsSmall               90   7.66 267.5
-explore_goal_locations_large          explore_goals:GoalLocationsLarge              120   3.14 194.5
-explore_object_rewards_few            explore_object_rewards:ObjectRewardsFew        90  2.073 77.7
-explore_object_rewards_many           explore_object_rewards:ObjectRewardsMany      120  2.438 106.7
+explore_object_locations_small        explore:ObjectLocationsSmall                   90  3.575 74.45
+explore_object_locations_large        explore:ObjectLocationsLarge                  120  4.673 65.65
+explore_obstructed_goals_small        explore:ObstructedGoalsSmall                   90   6.76 206
+explore_obstructed_goals_large        explore:ObstructedGoalsLarge                  120   2.61 119.5
+explore_goal_locations_small          explore:GoalLocationsSmall                     90   7.66 267.5
+explore_goal_locations_large          explore:GoalLocationsLarge                    120   3.14 194.5
+explore_object_rewards_few            explore:ObjectRewardsFew                       90  2.073 77.7
+explore_object_rewards_many           explore:ObjectRewardsMany                     120  2.438 106.7
 """
 
 LEVELS: dict[str, Level] = {
