@@ -86,8 +86,6 @@ def cheapest_pairs():
     """Pairs of experiment and condition: every condition with the cheapest experiment that it is
     possible with, of those with and of those without instructions, and every experiment with at
     least one condition.
-
-    `test_config.py` composes all pairs.
     """
     cheapest = {}
     experiments = sorted(composing.choices("experiment"), key=cost)

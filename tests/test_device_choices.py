@@ -97,7 +97,7 @@ def test_with_envs_on_the_device(group, choice):
 @pytest.mark.parametrize(("group", "choice"), CHOICES)
 def test_with_envs_on_the_host(group, choice):
     try:
-        config = config_of("playroom_lift_compact", group, choice)
+        config = config_of("playroom_lift_compact", group, choice, "environment.image_size=[24,32]")
     except UserError:
         pytest.skip("does not go with lifting")
     if list(not_captured(config)):

@@ -1,4 +1,4 @@
-"""Learning: IMPALA, V-MPO, PPO and R2D2 learn two environments that everybody knows.
+"""Learning: IMPALA, V-MPO, PPO and R2D2 learn CartPole, and IMPALA a MiniGrid.
 
 Scores are mean returns of 100 episodes. Uniformly random actions have about 22 in `CartPole-v1`
 (at most 500 are possible) and 0.2 in `MiniGrid-Empty-5x5-v0` (at most 0.955). Each test takes ten
@@ -44,18 +44,7 @@ OPTIONS = {
         **{"priority_exponent": 0.6, "importance_exponent": 0.4, "priority_max_weight": 0.9},
     },
 }
-MINIGRID = {
-    "impala": {"discount": 0.97, "adam_beta1": 0.9},
-    "vmpo": {
-        **{"learning_rate": 1e-3, "initial_eta": 1.0, "initial_alpha": 5.0},
-        **{"epsilon_alpha": 0.01, "target_period": 1},
-    },
-    "ppo": {"entropy_cost": 0.01},
-    "r2d2": {
-        **{"discount": 0.95, "trace_lambda": 0.8, "target_period": 25, "epsilon": 0.25},
-        **{"samples_per_insert": 4.0, "replay_min": 100},
-    },
-}
+MINIGRID = {"discount": 0.97, "adam_beta1": 0.9}
 
 
 def learn(agent, id, updates, seed=0, options=None, **envs):
@@ -87,11 +76,8 @@ def test_cartpole_is_learned(agent, updates):
     assert score > 70, curve  # seeds 0 to 2, 400: V-MPO 240 to 459, R2D2 161 to 228
 
 
-@pytest.mark.parametrize(
-    ("agent", "updates"), [("impala", 100), ("vmpo", 200), ("ppo", 100), ("r2d2", 100)]
-)
-def test_a_minigrid_level_is_learned(agent, updates):
+def test_a_minigrid_level_is_learned():
     pytest.importorskip("minigrid")
     id, codes = "MiniGrid-Empty-5x5-v0", {"image": 11}
-    score, curve = learn(agent, id, updates, options=MINIGRID[agent], codes=codes)
+    score, curve = learn("impala", id, 100, options=MINIGRID, codes=codes)
     assert score > 0.7, curve

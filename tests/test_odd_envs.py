@@ -435,7 +435,7 @@ def test_odd_environments(spec: Spec, tmp_path_factory: pytest.TempPathFactory) 
 
 @pytest.mark.slow
 @settings(
-    max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+    max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )
 @given(spec=specs())
 def test_many_odd_environments(spec: Spec, tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -47,10 +47,14 @@ KEPT = sorted(path.parent for path in ROOT.glob("results/*/*/*/weights.pt"))
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", KEPT, ids=lambda folder: "/".join(folder.parts[-3:]))
 def test_agents_whose_weights_are_kept_score_as_they_did(folder):
-    """Within 0.15: the standard error of 100 episodes is at most 0.05, of 1,000 0.016."""
+    """Within 0.15: the standard error of 100 episodes is at most 0.05, of 1,000 0.016. Where a
+    score is of thirty tasks, each is played in 20 episodes."""
     trained = load_agent(folder, "cpu")
     (run,) = load_runs([folder])
-    results = evaluate_agent(trained.config, trained.agent, episodes=100, num_envs=100, seed=5)
+    episodes = 20 if run.description.split == "labyrinth_forward" else 100
+    results = evaluate_agent(
+        trained.config, trained.agent, episodes=episodes, num_envs=episodes, seed=5
+    )
     found = scores(results)
     kinds = set(run.evaluations["level_kind"])
     assert kinds <= found.keys()

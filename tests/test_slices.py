@@ -42,18 +42,15 @@ def played(env: envs.ZipfVectorEnv, steps: int, teacher: Teacher | None = None) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("level", "workers"), [(LIFT, WORKERS[0]), (MAZE, WORKERS[0]), (LIFT, WORKERS[1])], ids=str
-)
-def test_slices_keep_the_contract(level: str, workers: dict[str, int]) -> None:
+@pytest.mark.parametrize("level", [LIFT, MAZE])
+def test_slices_keep_the_contract(level: str) -> None:
     options = SMALL[level]
-    ((name, count),), steps = workers.items(), 300 if "threads" in workers else 40
     check_vector_env(
         lambda num_envs, **others: envs.make_vec(
-            level, num_envs, **{name: min(count, num_envs)}, **options, **others
+            level, num_envs, threads=min(3, num_envs), **options, **others
         ),
         partial(envs.make, level, **options),
-        steps=steps,
+        steps=300,
     )
 
 

@@ -32,7 +32,7 @@ from conftest import (
     slow_but,
     untimed,
 )
-from envs_of import cheapest_pairs, pairs_once
+from envs_of import pairs_once
 
 import zipf.envs.family
 from zipf import envs, evaluate
@@ -49,7 +49,7 @@ def folder_of(arguments: list[str]) -> Path:
     return loading.load(arguments).folder
 
 
-@pytest.mark.parametrize(("experiment", "condition"), slow_but(cheapest_pairs(), *pairs_once()))
+@pytest.mark.parametrize(("experiment", "condition"), pairs_once())
 def test_conditions_train_resume_and_are_scored(experiment, condition, tmp_path):
     """Two updates; the same from a checkpoint after the first, bit for bit; a score of the last."""
     arguments = [
