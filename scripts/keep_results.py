@@ -55,6 +55,9 @@ def keep(kept: Record, folder: Path, *, weights: bool = False) -> str:
         raise UserError(f"{folder}: has no weights.pt")
     description = json.loads((folder / "run.json").read_text("utf-8"))
     name = f"{description['experiment']}/{description['condition']}/seed{description['seed']}"
+    other = kept.runs.get(name)
+    if other is not None and bool(other.get("external")) != bool(description.get("external")):
+        raise UserError(f"{name}: is of an agent of ours in one run and of others in the other")
     if not weights and (RESULTS / name / "weights.pt").exists():
         raise UserError(
             f"{RESULTS / name}: has the weights of an earlier training; give --weights, or remove "

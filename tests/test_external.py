@@ -170,6 +170,12 @@ def test_a_description_of_something_else_is_refused(text, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
 
 
+def test_a_folder_may_be_at_home(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    recorded("~/seed0")
+    assert (tmp_path / "seed0" / "run.json").is_file()
+
+
 def test_a_folder_of_something_else_is_refused(tmp_path):
     recorded(tmp_path / "seed0")
     before = (tmp_path / "seed0" / "run.json").read_text()

@@ -132,6 +132,14 @@ def test_a_further_run_leaves_the_rows_of_others_as_they_are(tmp_path: Path, res
     assert other.description == load_run(second).description
 
 
+def test_an_agent_of_others_takes_no_place_of_ours(tmp_path: Path, results: Path) -> None:
+    theirs = write_external(
+        tmp_path / "theirs", constant(0.25), name="impala", experiment="gridworld"
+    )
+    with pytest.raises(UserError, match="gridworld/impala/seed0: is of an agent of ours in one"):
+        kept(results, run(tmp_path), theirs)
+
+
 def test_scores_are_those_of_the_window(tmp_path: Path, results: Path) -> None:
     updates = {100: (0.1, 0.2, 0.3), 200: (0.3, 0.4, 0.5), 300: (0.2, 0.9, 0.1), 400: (1, 1, 1)}
     kept(results, write_run(tmp_path, updates))

@@ -283,6 +283,12 @@ def test_runs_are_found_through_links(tmp_path: Path) -> None:
     assert len(results.load_runs([tmp_path, tmp_path / "here"])) == 2
 
 
+def test_runs_of_an_interrupted_unpacking_are_left_out(tmp_path: Path) -> None:
+    for folder in (tmp_path, tmp_path / ".unpacking-x"):
+        write_run(folder, constant(0.5))
+    assert len(results.load_runs([tmp_path])) == 1
+
+
 def test_a_folder_that_cannot_be_read_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -36,14 +36,13 @@ def asked(*words):
 
 def test_trials_are_drawn_from_the_seed_alone(finished):
     one, again, more = asked(), asked(), asked("search.trials=6")
-    jobs = one.ask()
-    assert [job.overrides for job in jobs] == [job.overrides for job in again.ask()]
-    assert [job.overrides for job in more.ask()][:8] == [job.overrides for job in jobs]
-    assert one.jobs == len(jobs) == 8
+    jobs = one.jobs
+    assert [job.overrides for job in jobs] == [job.overrides for job in again.jobs]
+    assert [job.overrides for job in more.jobs][:8] == [job.overrides for job in jobs]
+    assert len(jobs) == 8
     assert one.folder == more.folder
     assert asked("search.seed=1").folder != one.folder
-    assert asked("search.seed=1").ask()[0].overrides != jobs[0].overrides
-    assert one.ask() == []
+    assert asked("search.seed=1").jobs[0].overrides != jobs[0].overrides
     rates = {job.config.agent.learning_rate for job in jobs}
     assert len(rates) == 4
     assert all(1e-4 <= rate <= 1e-2 for rate in rates)
@@ -53,7 +52,7 @@ def test_trials_are_drawn_from_the_seed_alone(finished):
 
 def test_the_best_trial_is_the_first_line_and_has_a_command(finished):
     one = asked()
-    jobs = one.ask()
+    jobs = one.jobs
     for number, (first, second) in enumerate(zip(jobs[::2], jobs[1::2], strict=True)):
         if number < 3:  # the last trial has one of its seeds, and the best score
             finished[first.config.folder] = number / 10
@@ -78,6 +77,10 @@ def test_the_best_trial_is_the_first_line_and_has_a_command(finished):
     rate = f"agent.learning_rate={chosen.config.agent.learning_rate:g}"
     assert best.startswith("best: python -m zipf.train -m experiment=demo ")
     assert best.endswith(f"{rate} agent.discount={chosen.config.agent.discount:g} seed=0,1")
+    other = search.asked(ASKED, "own")
+    other.tell()
+    *_, elsewhere = other.summary()
+    assert elsewhere.startswith("best: python -m zipf.train --config-dir own -m experiment=demo")
     with open(one.folder / "trials.csv") as file:
         table = list(csv.DictReader(file))
     assert [row["trial"] for row in table] == ["3", "2", "1", "4"]
@@ -86,7 +89,6 @@ def test_the_best_trial_is_the_first_line_and_has_a_command(finished):
 
 def test_a_window_that_is_not_reached_is_said(finished):
     one = asked("updates=6", "search.objective=train")
-    one.ask()
     one.tell()
     head, *_, last = one.summary()
     assert "by train score at the last evaluation (schedule.window=[400,500] begins after" in head
@@ -96,7 +98,7 @@ def test_a_window_that_is_not_reached_is_said(finished):
 def test_there_are_no_two_trials_alike(finished):
     words = [*TINY, "memory.size=8,16", "memory.layers=range(1,3)", "search=random"]
     found = search.asked(words)
-    assert found.jobs == len({job.overrides for job in found.ask()}) == 4
+    assert len(found.jobs) == len({job.overrides for job in found.jobs}) == 4
 
 
 def test_whole_numbers_and_the_ends_of_an_interval():
@@ -121,7 +123,7 @@ def test_whole_numbers_and_the_ends_of_an_interval():
         (["search.trials=0"], "search.trials=0: should be greater than or equal to 1"),
         (["search.trial=4"], "search.trial: no such option; did you mean search.trials?"),
         (["search.batch=4"], "search.batch: no such option"),
-        (["search=randm"], "search=randm: no such search; did you mean random?"),
+        (["search=randm"], "search=randm: no such search; there is random"),
         (["sweep=demo"], "sweep=demo: a search is of one experiment"),
         (["experiment=demo,gridworld"], "experiment=demo,gridworld: a search is of one experiment"),
         (["agent.discount=interval(1,0.9)"], "should be two numbers, the smaller one first"),
@@ -131,13 +133,13 @@ def test_whole_numbers_and_the_ends_of_an_interval():
         (["agent.discount=glob(*)"], "list the values"),
         (["seed=interval(0,3)"], "seed=interval(0,3): list the values, as in seed=a,b"),
         (["seed=range(0,0)"], "seed=range(0,0): lists no values"),
-        (["search=random,optuna"], "search=random,optuna: should be one value"),
+        (["search=random,other"], "search=random,other: should be one value"),
         (["name=x"], "two trials would use this folder"),
     ],
 )
 def test_a_mistake_is_one_clear_line(words, told, finished, tmp_path):
     with pytest.raises(UserError, match=re.escape(told)) as error:
-        asked(*words).ask()
+        asked(*words)
     assert len(str(error.value).splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
 
@@ -152,63 +154,17 @@ def test_what_is_no_search_says_how_to_make_one():
     assert search.asked([*TINY, "seed=0,1"]) is None
 
 
-def test_every_search_has_its_options_in_a_file():
-    assert {*composing.choices("search")} == {*search._KINDS}
-    for name, options in search._KINDS.items():
-        options.model_validate(config_files.find("search", name).values)
-        assert re.search(rf"^  {name} +\S", help_text(), re.MULTILINE)
+def test_the_options_of_a_search_are_in_a_file():
+    assert composing.choices("search") == ["random"]
+    search.RandomSearch.model_validate(config_files.find("search", "random").values)
+    assert re.search(r"^  random +\S", help_text(), re.MULTILINE)
     with pytest.raises(ValidationError):
         search.RandomSearch(trials=1, objective="rare", seed=0)
 
 
-# With Optuna
-
-OPTUNA = [*TINY, RATE, "memory.size=8,16", "search=optuna", "search.trials=5"]
-
-
-def searched(finished, *words, until=99):
-    """The overrides of the trials of a search, each of which has a score as soon as it is asked
-    for; at most as many trials."""
-    pytest.importorskip("optuna")
-    found, tried = search.asked([*OPTUNA, *words]), []
-    while jobs := found.ask():
-        tried += [job.overrides for job in jobs]
-        if len(tried) > until:  # it is interrupted before this one is finished
-            break
-        for one in jobs:
-            finished.setdefault(one.config.folder, -one.config.agent.learning_rate)
-        found.tell()
-    return found, tried
-
-
-def test_optuna_goes_on_with_an_interrupted_search(finished, tmp_path):
-    found, whole = searched(finished, f"run_root={tmp_path}/whole")
-    assert len(whole) == len(found._trials) == found.jobs == 5
-    assert all(trial.is_scored for trial in found._trials)
-    _, begun = searched(finished, f"run_root={tmp_path}/parts", until=2)
-    again, parts = searched(finished, f"run_root={tmp_path}/parts")
-    values = [[word for word in words if "run_root" not in word] for words in whole]
-    assert [[word for word in words if "run_root" not in word] for words in parts] == values
-    assert parts[:3] == begun
-    assert {path.name for path in again.folder.iterdir()} == {"optuna.log", "trials.csv"}
-    assert len(searched(finished, f"run_root={tmp_path}/parts", "search.trials=6")[1]) == 6
-
-
-def test_optuna_suggests_as_many_at_a_time_as_it_is_told(finished):
-    pytest.importorskip("optuna")
-    found = search.asked([*OPTUNA, "search.batch=2"])
-    sizes = []
-    while jobs := found.ask():
-        sizes.append(len(jobs))
-        finished |= {one.config.folder: 0.5 for one in jobs}
-        found.tell()
-    assert sizes == [2, 2, 1]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["random", "optuna"])
-def test_a_search_trains_and_is_not_done_twice(name, tmp_path, monkeypatch, capsys):
-    words = [*TINY, "updates=4", f"run_root={tmp_path}", RATE, f"search={name}", "search.trials=2"]
+def test_a_search_trains_and_is_not_done_twice(tmp_path, monkeypatch, capsys):
+    words = [*TINY, "updates=4", f"run_root={tmp_path}", RATE, "search=random", "search.trials=2"]
     assert sweep.run(words) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "2 jobs: 2 finished" in lines

@@ -394,7 +394,7 @@ def test_what_would_begin_with_the_weights_of_a_failed_run_is_named(staged):
 def test_later_stages_wait_for_one_that_its_time_has_stopped(staged):
     code, lines = staged("12")
     assert code == 0
-    assert "3 jobs: 3 stopped by schedule.stop_after" in lines
+    assert "3 jobs: 3 stopped by schedule.stop_after or a callback" in lines
     assert any(line.startswith("2/3 demo two seed 12: not begun: begins with") for line in lines)
 
 
@@ -481,7 +481,7 @@ def test_a_job_that_its_time_has_stopped_is_no_failure(scripted):
     code, lines = scripted("12,7")
     assert code == 0
     assert "1/2 demo x seed 12: stopped at update 3; the same command resumes" in lines
-    assert "2 jobs: 1 finished, 1 stopped by schedule.stop_after" in lines
+    assert "2 jobs: 1 finished, 1 stopped by schedule.stop_after or a callback" in lines
     assert "the same command does what is missing" in lines
 
 

@@ -138,6 +138,20 @@ def test_an_external_agent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "has no agent" in refusal(capsys, str(tmp_path), "videos=gif")
 
 
+def test_videos_are_of_the_conditions_that_are_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ours = write_run(tmp_path, constant(0.5))
+    write_external(tmp_path, constant(0.5), name="theirs")
+    asked = []
+    monkeypatch.setattr(recorder, "record_videos", lambda folders, *_: asked.append(folders))
+    assert report.main([str(tmp_path), "videos=gif", "conditions=impala"]) == 0
+    assert asked == [[ours]]
+    told = refusal(capsys, str(tmp_path), "videos=gif", "highlight=other")
+    assert "other: no such condition" in told
+    assert len(asked) == 1
+
+
 @pytest.mark.parametrize(
     ("attribute", "value", "message"),
     [("reports_success", False, "report no success"), ("situation", {}, "report no situation")],

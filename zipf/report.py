@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from zipf.experiments.records.results import Run
     from zipf.experiments.reporting.claims import ClaimLine
     from zipf.experiments.reporting.panels import Looks
     from zipf.experiments.reporting.seed_statistics import SeedStatistics
@@ -192,10 +193,8 @@ def report(
         UserError: no run there, a damaged file, an unknown window, condition or format, a page
             whose name does not end in .html, or a file cannot be read or written.
     """
-    from zipf.experiments.records import results
     from zipf.experiments.reporting import draw_matplotlib, latex, markdown, tables, terminal
     from zipf.experiments.reporting.claims import check_claims, csv_claims
-    from zipf.experiments.reporting.comparable import chosen_runs, split_names
     from zipf.experiments.reporting.panels import looks_of
     from zipf.experiments.reporting.seed_statistics import csv_statistics, seed_statistics
     from zipf.experiments.reporting.side_by_side import side_by_side
@@ -205,13 +204,7 @@ def report(
     target = None if output is None else Path(output).expanduser()
     record = None if record is None else Path(record).expanduser()
     html = Path(html).expanduser() if html else html
-    runs, order = results.load_runs(folders), list[str]()
-    if conditions is not None:
-        names = split_names(conditions, runs) if isinstance(conditions, str) else conditions
-        runs, order = chosen_runs(runs, names)
-    if highlight is not None:
-        names = split_names(highlight, runs) if isinstance(highlight, str) else highlight
-        highlight = chosen_runs(runs, names)[1]
+    runs, order, highlight = _asked_for(folders, conditions, highlight)
     found = tables.score_tables(runs, chosen, order)
     pages = [] if record is None else _pages(folders, [(target or Path()) / "report.md", record])
     checked = check_claims(found) if claims else []
@@ -227,7 +220,7 @@ def report(
         terminal.print_legend(found, shown)
         terminal.print_claims(checked, shown)
     statistics = [seed_statistics(table) for table in found]
-    looks = looks_of(found, highlight or ())
+    looks = looks_of(found, highlight)
 
     texts: dict[Path, str] = {}
     drawn: dict[str, list[Path]] = {}
@@ -274,6 +267,26 @@ def report(
     for line in written if show else ():
         shown.print(f"Wrote {line}", markup=False, soft_wrap=True)
     return Report(tuple(found), files, tuple(checked), tuple(statistics), looks)
+
+
+def _asked_for(
+    folders: Sequence[str | Path],
+    conditions: str | Sequence[str] | None,
+    highlight: str | Sequence[str] | None,
+) -> tuple[list[Run], list[str], list[str]]:
+    """The runs of the conditions that are asked for, these conditions in order (none: as usual),
+    and those to highlight. Raises UserError: there is none of a name."""
+    from zipf.experiments.records.results import load_runs
+    from zipf.experiments.reporting.comparable import chosen_runs, split_names
+
+    runs, order, highlighted = load_runs(folders), list[str](), list[str]()
+    if conditions is not None:
+        names = split_names(conditions, runs) if isinstance(conditions, str) else conditions
+        runs, order = chosen_runs(runs, names)
+    if highlight is not None:
+        names = split_names(highlight, runs) if isinstance(highlight, str) else highlight
+        highlighted = chosen_runs(runs, names)[1]
+    return runs, order, highlighted
 
 
 def _pages(folders: Sequence[str | Path], written: Collection[Path]) -> list[str]:
@@ -372,7 +385,9 @@ def _report(words: list[str]) -> None:
 
         _checked(options.window, html, options.format)
         say = (lambda line: None) if is_quiet() else print
-        record_videos(folders, options.videos, module_names(options.plugins), say)
+        runs, *_ = _asked_for(folders, options.conditions, options.highlight)
+        plugins = module_names(options.plugins)
+        record_videos([run.folder for run in runs], options.videos, plugins, say)
         html = html or ""
     report(
         folders,

@@ -132,6 +132,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         self.id = id
         self.replayed_name = f"environment {id!r}"
         self.options = dict(mapping("options", options))
+        self._called = id + (f" with {short(self.options)}" if self.options else "")
         self.wrap = wrap
         self.render_mode = render_mode
         if render_mode not in ("rgb_array", None):
@@ -142,7 +143,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
             mapping("image_axes", image_axes),
             Words(text_length, vocabulary, cut_texts),
         )
-        self.parts = parts_of(id, self._space(first, "observation_space"), reading)
+        self.parts = parts_of(self._called, self._space(first, "observation_space"), reading)
         action_space = self._space(first, "action_space")
         if not isinstance(action_space, spaces.Discrete):
             raise ValueError(
@@ -217,13 +218,15 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
                 f"{short(error)}"
             ) from error
         if not isinstance(env, gym.Env):
-            raise ValueError(f"{self.id}: wrap must return a gymnasium.Env, got {short(env)}")
+            raise ValueError(f"{self._called}: wrap must return a gymnasium.Env, got {short(env)}")
         return env
 
     def _space(self, env: gym.Env, name: str) -> spaces.Space:
         space = getattr(env, name, None)
         if not isinstance(space, spaces.Space):
-            raise ValueError(f"{self.id}: {name} must be a Gymnasium space, got {short(space)}")
+            raise ValueError(
+                f"{self._called}: {name} must be a Gymnasium space, got {short(space)}"
+            )
         return space
 
     def _try(self, env: gym.Env) -> str | None:
@@ -282,7 +285,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
             raise self._raised("reset", error) from error
         if not isinstance(returned, _SEVERAL) or len(returned) != 2:
             raise EnvError(
-                f"{self.id}: reset must return (observation, info), got {short(returned)}"
+                f"{self._called}: reset must return (observation, info), got {short(returned)}"
             )
         observation, info = returned
         self._check_info("reset", info)
@@ -296,8 +299,8 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         if not isinstance(returned, _SEVERAL) or len(returned) != 5:
             count = f" of {len(returned)} values" if isinstance(returned, _SEVERAL) else ""
             raise EnvError(
-                f"{self.id}: step must return (observation, reward, terminated, truncated, info), "
-                f"got {type(returned).__name__}{count}"
+                f"{self._called}: step must return (observation, reward, terminated, truncated, "
+                f"info), got {type(returned).__name__}{count}"
             )
         observation, reward, terminated, truncated, info = returned
         self._check_info("step", info)
@@ -314,7 +317,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         text = short(error) or "no message"
         *_, last = traceback.extract_tb(error.__traceback__)
         where = f"{Path(last.filename).name}, line {last.lineno}"
-        line = f"{self.id}: {method} raised {type(error).__name__} in {where}: {text}"
+        line = f"{self._called}: {method} raised {type(error).__name__} in {where}: {text}"
         if method == "reset" and isinstance(error, TypeError) and " argument" in text:
             line += "; it must be reset(self, *, seed=None, options=None)"
         if method == "step" and isinstance(error, ValueError) and "unpack" in text:
@@ -323,7 +326,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
 
     def _check_info(self, method: str, info: Any) -> None:
         if type(info) is not dict and not isinstance(info, Mapping):
-            raise EnvError(f"{self.id}: info of {method} must be a dict, got {short(info)}")
+            raise EnvError(f"{self._called}: info of {method} must be a dict, got {short(info)}")
 
     def _number(self, reward: Any) -> float:
         """A reward. That of an array with a single entry is the entry."""
@@ -335,10 +338,10 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
                 reward = float(plain)
             except (TypeError, ValueError, RuntimeError, OverflowError):
                 raise EnvError(
-                    f"{self.id}: a reward must be a number, got {short(reward)}"
+                    f"{self._called}: a reward must be a number, got {short(reward)}"
                 ) from None
         if not math.isfinite(reward):  # a state with such a return could not be restored
-            raise EnvError(f"{self.id}: a reward must be a finite number, got {reward}")
+            raise EnvError(f"{self._called}: a reward must be a finite number, got {reward}")
         return reward
 
     def _flag(self, name: str, value: Any) -> bool:
@@ -350,7 +353,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         except (ValueError, RuntimeError):  # of several entries
             plain = None
         if not isinstance(plain, int | float) or plain not in (0, 1):
-            raise EnvError(f"{self.id}: {name} must be True or False, got {short(value)}")
+            raise EnvError(f"{self._called}: {name} must be True or False, got {short(value)}")
         return bool(plain)
 
     def _read(self, observation: Any) -> Observation:
@@ -360,7 +363,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         info = dict(outcome.info)
         if not callable(self.success) and self.success not in info:
             raise EnvError(
-                f"success={self.success!r}, but {self.id} has no such entry in the info of an "
+                f"success={self.success!r}, but {self._called} has no such entry in the info of an "
                 f"episode's last step: {sorted(map(str, info))}"
             )
         try:
@@ -380,7 +383,8 @@ def _time_limits(env: gym.Env) -> Iterator[int]:
     layer: Any = env
     while layer is not None:
         spec = getattr(layer, "spec", None)
-        for declared in (vars(layer), vars(spec) if spec else {}, spec.kwargs if spec else {}):
+        own = {name: getattr(layer, name, None) for name in _TIME_LIMITS}
+        for declared in (own, vars(spec) if spec else {}, spec.kwargs if spec else {}):
             for name in _TIME_LIMITS:
                 limit = declared.get(name)
                 if isinstance(limit, int | np.integer) and limit > 0:

@@ -102,7 +102,7 @@ def record(
 
     split = as_split(split)
     check_options(split, level_options)
-    folder = Path(folder)
+    folder = Path(folder).expanduser()
     frames = _whole("frames", frames, 0, MOST_FRAMES)
     update = frames if update is None else _whole("update", update, 0, MOST_FRAMES)
     seed = _whole("seed", seed, -MOST_SEED, MOST_SEED)

@@ -29,7 +29,6 @@ from zipf.experiments.evaluation.trained import TrainedAgent, load_agent
 from zipf.experiments.playing.recording import Recording
 from zipf.experiments.records import video_files
 from zipf.experiments.records.replacing import replace_text
-from zipf.experiments.records.results import load_runs
 from zipf.experiments.records.video_files import OUTCOMES, Video, VideosOfSituation
 from zipf.experiments.records.wording import VIDEO_FORMATS, VideoFormat
 
@@ -70,28 +69,27 @@ class Episode:
 
 
 def record_videos(
-    folders: Sequence[str | Path],
+    folders: Sequence[Path],
     format: VideoFormat,
     plugins: Sequence[str],
     say: Callable[[str], None],
 ) -> None:
-    """Records videos of every run under `folders`, at any depth, each into a folder `videos` in the
-    run's; `say` prints a line about each.
+    """Records videos of the runs in these folders, each into a folder `videos` in the run's; `say`
+    prints a line about each.
 
-    Raises UserError: there is no run, or, before anything is recorded, a run has no checkpoint that
-    can be loaded, an agent that does not act, or envs that report no success.
+    Raises UserError: before anything is recorded, a run has no checkpoint that can be loaded, an
+    agent that does not act, or envs that report no success.
     """
-    found = [run.folder for run in load_runs(folders)]
-    for folder in found:
+    for folder in folders:
         try:
             agent_file(folder)
         except UserError as error:
             raise UserError(
                 f"videos: {error}; give folders of runs with one (most kept results have none)"
             ) from None
-    for folder in found:
+    for folder in folders:
         _playable(folder, load_agent(folder, "cpu", plugins))
-    for folder in found:
+    for folder in folders:
         made = record_run(folder, load_agent(folder, "cpu", plugins), format)
         counts = ", ".join(
             f"{one.title} {one.successes} of {one.episodes} episodes" for one in made.situations

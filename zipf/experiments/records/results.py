@@ -162,7 +162,8 @@ def _folders_with(name: str, root: Path) -> Iterator[Path]:
             inner.clear()
             continue
         seen.add(real)
-        inner.sort()
+        # Not into hidden ones, such as what an interrupted unpacking has left.
+        inner[:] = sorted(one for one in inner if not one.startswith("."))
         if name in files:
             yield Path(folder)
 

@@ -136,8 +136,8 @@ def launcher(
     words = [word for word in overrides if sweeps.for_hydra(word)]
     if chosen := [word for word in words if word.startswith(("hydra/sweeper", "hydra.sweeper"))]:
         raise UserError(
-            f"{chosen[0]}: sweeps here are over lists of values, or draw them with search=random "
-            "or search=optuna; leave it out"
+            f"{chosen[0]}: sweeps here are over lists of values, or draw them with search=random; "
+            "leave it out"
         )
     options_of = [word for word in words if word.lstrip("+~").startswith("hydra.launcher.")]
     if options_of and not any(word.startswith("hydra/launcher=") for word in words):

@@ -1,4 +1,4 @@
-"""Searches: sweeps whose values are drawn at random, or suggested by Optuna, and scored.
+"""Searches: sweeps whose values are drawn at random, and scored.
 
 A trial is a combination of values, trained with every seed of the command line; its objective is
 the mean score of these runs on the train or the validation levels. The same command goes on with an
@@ -11,10 +11,10 @@ import csv
 import itertools
 import math
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
 import numpy as np
 from hydra.core.override_parser.types import IntervalSweep, Override
@@ -30,10 +30,6 @@ from zipf.experiments.sweeping import sweeps
 from zipf.options import Options
 from zipf.protocol import KINDS
 
-if TYPE_CHECKING:
-    from optuna import Study
-    from optuna.distributions import BaseDistribution
-
 DIGITS = 3  # significant, of numbers from intervals; ours: they are parts of folders' names
 _DRAWS = 1000  # ours: after as many that were there before there are no others
 
@@ -47,15 +43,6 @@ class RandomSearch(Options):
     trials: PositiveInt
     objective: Literal["train", "validation"]
     seed: Seed
-
-
-class OptunaSearch(RandomSearch):
-    """`search=optuna`: Optuna suggests values by the scores so far, of `batch` trials at a time."""
-
-    batch: PositiveInt
-
-
-_KINDS: Mapping[str, type[RandomSearch]] = {"random": RandomSearch, "optuna": OptunaSearch}
 
 
 @dataclass(frozen=True)
@@ -86,20 +73,8 @@ class Dimension:
             return self.text(math.exp(rng.uniform(math.log(low), math.log(high))))
         return self.text(rng.uniform(low, high))
 
-    def distribution(self) -> BaseDistribution:
-        """What Optuna draws from."""
-        from optuna import distributions
-
-        if self.values:
-            return distributions.CategoricalDistribution(self.values)
-        if self.whole:
-            return distributions.IntDistribution(int(self.low), int(self.high), log=self.log)
-        return distributions.FloatDistribution(self.low, self.high, log=self.log)
-
-    def text(self, value: Any) -> str:
-        """A value as on the command line."""
-        if self.values:
-            return str(value)
+    def text(self, value: float) -> str:
+        """A number of the interval, as on the command line."""
         if self.whole:
             return str(int(min(max(round(value), self.low), self.high)))
         short = f"{value:.{DIGITS}g}"
@@ -113,13 +88,11 @@ class _Tried:
     Attributes:
         values: of the dimensions, in their order.
         jobs: its runs, one for each seed.
-        open: the number by which Optuna waits for its objective, if it does.
         scores: of the runs that have finished.
     """
 
     values: tuple[str, ...]
     jobs: tuple[sweeps.PlannedJob, ...]
-    open: int | None = None
     scores: list[float] = field(default_factory=list)
 
     @property
@@ -131,28 +104,34 @@ class _Tried:
         return sum(self.scores) / len(self.scores) if self.scores else -math.inf
 
 
-def asked(overrides: Sequence[str]) -> Search | None:
+def asked(overrides: Sequence[str], config_dir: str | None = None) -> Search | None:
     """The search of a command line; None where it asks for none.
 
     Raises:
         UserError: there is no such search, or nothing that it could search.
     """
-    return Search(list(overrides)) if any(map(sweeps.for_search, overrides)) else None
+    is_asked = any(map(sweeps.for_search, overrides))
+    return Search(list(overrides), config_dir) if is_asked else None
 
 
 class Search:
-    """A search: what is run next, and what has come of it.
+    """A search: its runs, and what has come of them.
 
     Attributes:
-        jobs: how many runs there will be.
-        folder: has `trials.csv`, and of Optuna its journal.
+        jobs: the runs, of all trials.
+        folder: has `trials.csv`.
+
+    Raises:
+        UserError: there is nothing to search, or a line for every mistake in the options of a
+            trial.
     """
 
-    def __init__(self, overrides: list[str]):
+    def __init__(self, overrides: list[str], config_dir: str | None):
+        self._flags = ["--config-dir", config_dir] if config_dir else []
         parsed = command_line.parse([one for one in overrides if not sweeps.for_hydra(one)])
         own = [one for one in parsed if sweeps.for_search(str(one.input_line))]
         rest = [one for one in parsed if one not in own]
-        self.name, self.options = _options(own)
+        self.options = _options(own)
         seeds = [one for one in rest if one.key_or_group == "seed"]
         lists = [one for one in rest if one.is_sweep_override() and one not in seeds]
         for one in rest:
@@ -164,50 +143,34 @@ class Search:
         self._dimensions = [_dimension(one) for one in lists]
         if not self._dimensions:
             raise UserError(
-                f"search={self.name}: there is nothing to search; give an option an interval or a "
+                "search=random: there is nothing to search; give an option an interval or a "
                 "list, as in 'agent.learning_rate=tag(log,interval(1e-4,1e-2))'"
             )
         self._fixed = [str(one.input_line) for one in rest if one not in [*lists, *seeds]]
         self._seeds = [str(one.input_line) for one in seeds]
-        self._trials: list[_Tried] = []
-        self._rows: dict[Path, tuple[str, ...]] = {}
-        self._drawn = list(itertools.islice(self._draws(), self.options.trials))
-        first = loading.read([*self._fixed, *self._words(self._drawn[0])])
+        drawn = list(itertools.islice(self._draws(), self.options.trials))
+        first = loading.read([*self._fixed, *self._words(drawn[0])])
         kinds = [kind for kind in first.split.kinds if kind in ("train", "validation")]
         if self.options.objective not in kinds:
             raise UserError(
                 f"search.objective={self.options.objective}: {first.split.name} has no such "
                 f"levels; should be {' or '.join(kinds)}"
             )
-        trials = self.options.trials if self._uses_optuna else len(self._drawn)
-        self.jobs = trials * math.prod(len(sweeps.values_of(one)) for one in seeds)
         self.folder = first.folder.parent.parent / self._folder_name()
         self._end = first.updates, first.schedule.window
-        self._study: Study | None = _study(self.folder) if self._uses_optuna else None
-
-    def ask(self) -> list[sweeps.PlannedJob]:
-        """The runs that come next; none where all trials were made.
-
-        Raises:
-            UserError: with one line for every mistake in the options of a trial.
-        """
-        if self._study is None:
-            new = [] if self._trials else [_Tried(one, self._runs(one)) for one in self._drawn]
-        else:
-            new = list(self._suggested(self._study))
-        self._trials += new
-        return list({job.config.folder: job for one in new for job in one.jobs}.values())
+        self._trials = [_Tried(values, self._runs(values)) for values in drawn]
+        self.jobs = [job for one in self._trials for job in one.jobs]
+        if len({job.config.folder for job in self.jobs}) < len(self.jobs):
+            raise UserError(
+                f"{self.jobs[0].config.folder}: two trials would use this folder; leave out name=, "
+                "and search options that change what is learned"
+            )
 
     def tell(self) -> None:
         """Reads the scores of the runs that have finished, and writes `trials.csv`."""
         for trial in self._trials:
-            if trial.is_scored:
-                continue
             finished = (one.config for one in trial.jobs if run_folder.is_finished(one.config))
             trial.scores = [self._score(config.folder) for config in finished]
-            if self._study is not None and trial.is_scored and trial.open is not None:
-                self._study.tell(trial.open, trial.objective)
-                trial.open = None
         run_folder.make(self.folder)
         path = self.folder / "trials.csv"
         with writing(path), open(path, "w", newline="", encoding="utf-8") as file:
@@ -216,7 +179,7 @@ class Search:
     def summary(self) -> Iterator[str]:
         """A table of all trials, the best first, and the command of the best."""
         path = (self.folder / "trials.csv").as_posix()
-        yield f"{len(self._trials)} trials of search={self.name}, by {self._measure()}; {path}"
+        yield f"{len(self._trials)} trials of search=random, by {self._measure()}; {path}"
         rows = [row[:-1] for row in self._table()]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         for row in rows:
@@ -225,13 +188,9 @@ class Search:
         if not best.is_scored:
             yield "no trial has finished with all its seeds"
             return
-        many = ["-m"] if len(best.jobs) > 1 else []
+        flags = [*self._flags, *(["-m"] if len(best.jobs) > 1 else [])]
         words = [*self._fixed, *self._words(best.values), *self._seeds]
-        yield f"best: {shlex.join(['python', '-m', 'zipf.train', *many, *words])}"
-
-    @property
-    def _uses_optuna(self) -> bool:
-        return isinstance(self.options, OptunaSearch)
+        yield f"best: {shlex.join(['python', '-m', 'zipf.train', *flags, *words])}"
 
     def _draws(self) -> Iterator[tuple[str, ...]]:
         """Values of trials, none twice, until there are no others."""
@@ -245,50 +204,19 @@ class Search:
             seen.add(new)
             yield new
 
-    def _suggested(self, study: Study) -> Iterator[_Tried]:
-        """At first all trials that Optuna knows, among them those that were interrupted; then as
-        many new ones as a batch has."""
-        import optuna
-
-        assert isinstance(self.options, OptunaSearch)
-        spaces = {one.option: one.distribution() for one in self._dimensions}
-        known = [] if self._trials else study.get_trials(deepcopy=False)
-        for one in known:
-            yield self._tried(one.number, one.params, is_open=not one.state.is_finished())
-        waiting = any(not one.state.is_finished() for one in known)
-        for number in range(len(study.trials), self.options.trials)[: self.options.batch]:
-            if waiting:
-                return  # what they score is known before new values are chosen
-            # By the trial's number, so that an interrupted search goes on as if it had not been.
-            seed = int(np.random.SeedSequence((self.options.seed, number)).generate_state(1)[0])
-            study.sampler = optuna.samplers.TPESampler(seed=seed)
-            new = study.ask(spaces)
-            yield self._tried(new.number, new.params, is_open=True)
-
-    def _tried(self, number: int, params: Mapping[str, Any], *, is_open: bool) -> _Tried:
-        values = tuple(one.text(params[one.option]) for one in self._dimensions)
-        return _Tried(values, self._runs(values), number if is_open else None)
-
     def _runs(self, values: tuple[str, ...]) -> tuple[sweeps.PlannedJob, ...]:
         words = [*self._fixed, *self._words(values), *self._seeds]
-        jobs = sweeps.check(words, run_folder.is_finished).jobs
-        for job in jobs:
-            if self._rows.setdefault(job.config.folder, values) != values:
-                raise UserError(
-                    f"{job.config.folder}: two trials would use this folder; leave out name=, and "
-                    "search options that change what is learned"
-                )
-        return jobs
+        return sweeps.check(words, run_folder.is_finished).jobs
 
     def _words(self, values: Sequence[str]) -> list[str]:
         return [f"{one.option}={text}" for one, text in zip(self._dimensions, values, strict=True)]
 
     def _folder_name(self) -> str:
         """A name for the search of these options, which may have more trials later."""
-        kept = self.options.model_dump(exclude={"trials", "batch"})
-        whole = repr((sorted(self._fixed), self._dimensions, self._seeds, self.name, kept))
+        kept = self.options.model_dump(exclude={"trials"})
+        whole = repr((sorted(self._fixed), self._dimensions, self._seeds, "random", kept))
         short = "+".join(one.option.rpartition(".")[2] for one in self._dimensions)
-        return with_hash(f"search-{self.name}-{short}", whole)
+        return with_hash(f"search-random-{short}", whole)
 
     def _measure(self) -> str:
         """Where the scores are from, in words."""
@@ -328,19 +256,18 @@ class Search:
         return rows
 
 
-def _options(own: Sequence[Override]) -> tuple[str, RandomSearch]:
-    """The search that is asked for, and its options."""
+def _options(own: Sequence[Override]) -> RandomSearch:
+    """The options of the search that is asked for."""
     names = [str(one.value()) for one in own if one.key_or_group == "search"]
     if not names:
-        searches = " or ".join(f"search={name}" for name in _KINDS)
-        raise UserError(f"{own[0].input_line}: choose the search, too: {searches}")
+        raise UserError(f"{own[0].input_line}: choose the search, too: search=random")
     for one in own:
         if one.is_sweep_override():
             raise UserError(f"{one.input_line}: should be one value; a search is not swept over")
-    name = names[-1]
-    if name not in _KINDS or (written := config_files.find("search", name)) is None:
-        hint = command_line.nearest(name, list(_KINDS))
-        raise UserError(f"search={name:.200}: no such search; {hint}")
+    if names[-1] != "random":
+        raise UserError(f"search={names[-1]:.200}: no such search; there is random")
+    written = config_files.find("search", "random")
+    assert written is not None
     given = {one.key_or_group: one.value() for one in own if one.key_or_group != "search"}
     objective = given.get("search.objective")
     if objective in KINDS and objective not in ("train", "validation"):
@@ -350,9 +277,9 @@ def _options(own: Sequence[Override]) -> tuple[str, RandomSearch]:
         )
     values = {option.removeprefix("search."): value for option, value in given.items()}
     try:
-        return name, _KINDS[name].model_validate({**written.values, **values})
+        return RandomSearch.model_validate({**written.values, **values})
     except ValidationError as error:
-        accepted = [f"search.{option}" for option in _KINDS[name].model_fields]
+        accepted = [f"search.{option}" for option in RandomSearch.model_fields]
         raise UserError("\n".join(_mistakes(error, accepted))) from None
 
 
@@ -384,23 +311,3 @@ def _dimension(override: Override) -> Dimension:
     if log and low <= 0:
         raise UserError(f"{line}: a logarithmic interval should begin above 0")
     return Dimension(option, (), low, high, whole, log)
-
-
-def _study(folder: Path) -> Study:
-    """Optuna's journal of a search in its folder, which is made."""
-    try:
-        import optuna
-        from optuna.storages import JournalStorage
-        from optuna.storages.journal import JournalFileBackend
-    except ImportError:
-        raise UserError(
-            'search=optuna: needs Optuna: pip install ".[optuna]" in a clone of zipf'
-        ) from None
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    run_folder.make(folder)
-    return optuna.create_study(
-        storage=JournalStorage(JournalFileBackend(str(folder / "optuna.log"))),
-        study_name=folder.name,
-        direction="maximize",
-        load_if_exists=True,
-    )

@@ -40,13 +40,10 @@ def run(overrides: Sequence[str], config_dir: str | None = None) -> int:
         UserError: a mistake in any job, or in the choice of a launcher. Nothing was begun.
     """
     words = list(overrides)
-    if (asked := search.asked(words)) is not None:
-        sweeping = Sweeping(words, asked.jobs, config_dir)
-        while jobs := asked.ask():
-            sweeping.run(jobs)
-            asked.tell()
-            if sweeping.stopped:
-                break
+    if (asked := search.asked(words, config_dir)) is not None:
+        sweeping = Sweeping(words, len(asked.jobs), config_dir)
+        sweeping.run(asked.jobs)
+        asked.tell()
         sweeping.summarise()
         for line in asked.summary():
             sweeping.say(line)
@@ -171,7 +168,7 @@ class Sweeping:
         states = Counter(outcome.state for outcome in outcomes.values())
         words = {
             "skipped": f"{'was' if states['skipped'] == 1 else 'were'} finished before",
-            "paused": "stopped by schedule.stop_after",
+            "paused": "stopped by schedule.stop_after or a callback",
         }
         counted = [f"{states[one]} {words.get(one, one)}" for one in _COUNTED if states[one]]
         jobs = f"{len(outcomes)} job{'s' if len(outcomes) > 1 else ''}"
