@@ -137,12 +137,17 @@ def train_stable_baselines3(
 
     class Features(BaseFeaturesExtractor):
         def __init__(self, space: gym.spaces.Dict) -> None:
-            layers = trunk(task, space)
+            layers = trunk(task, seen)
             super().__init__(space, layers.size)
             self.layers = layers
 
         def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
-            return self.layers(observation)
+            # The library has moved the channels of images to the front.
+            parts = {
+                name: part.movedim(1, -1) if part.shape[1:] != seen[name].shape else part
+                for name, part in observation.items()
+            }
+            return self.layers(parts)
 
     class Paused(BaseCallback):
         def _on_rollout_start(self) -> None:  # what was collected before has been learned from
@@ -160,6 +165,8 @@ def train_stable_baselines3(
             task.envs if stepping == "one by one" else len(os.sched_getaffinity(0)),
             vec_env_cls=DummyVecEnv if stepping == "one by one" else SubprocVecEnv,
         )
+    assert isinstance(env.observation_space, gym.spaces.Dict)
+    seen = env.observation_space
     options: dict[str, Any] = {"n_steps": task.envs * task.steps // env.num_envs}
     if algorithm == "PPO":
         options |= {"n_epochs": 1, "batch_size": task.envs * task.steps}

@@ -178,11 +178,12 @@ def repeated(n, patch, columns=4, kinds=3, channels=3):
 def test_patches_that_repeat_are_found_once(patch, channels):
     torch.manual_seed(0)
     image, kind = repeated(20, patch, channels=channels)
-    for given in (image, image.transpose(1, 2).contiguous().transpose(1, 2)):
+    for given in (image, image.transpose(1, 2).contiguous().transpose(1, 2), image.float()):
         patches, place = distinct_patches(given, patch)
         assert patches.shape == (3, patch * patch * channels)
+        assert patches.dtype == given.dtype
         cut = image.unfold(1, patch, patch).unfold(2, patch, patch).permute(0, 1, 2, 4, 5, 3)
-        assert torch.equal(patches[place], cut.reshape(20, 12, -1))
+        assert torch.equal(patches[place], cut.reshape(20, 12, -1).to(given.dtype))
     assert torch.equal(place == place[0, 0], kind == kind[0, 0])
 
 
@@ -213,6 +214,7 @@ def test_patches_that_repeat_are_encoded_as_any_others(options, n, monkeypatch):
         if not once:
             monkeypatch.setattr(image_networks, "distinct_patches", lambda image, patch: None)
         assert (network.cut(image)[1] is not None) == once
+        assert network.cut(image.float().requires_grad_())[1] is None
         network.zero_grad()
         output = network(image)
         (output * torch.linspace(-1, 1, output.numel()).view_as(output)).sum().backward()

@@ -143,12 +143,13 @@ class PatchEncoder(nn.Module):
         return self.mix(self.placed(embedded, place).flatten(1)).relu()
 
     def cut(self, image: Tensor) -> tuple[Tensor, Tensor | None]:
-        """The patches of images uint8 [N, H, W, C], one image after another, and None; or, on a CPU
-        where they repeat, those that differ, and which of them is where, int64 [N, patches].
+        """The patches of images [N, H, W, C], 0 .. 255, one image after another, and None; or, on a
+        CPU where they repeat, those that differ, and which of them is where, int64 [N, patches].
 
         Patches are [K, pixels * C], in the dtype that the network computes in.
         """
-        if image.device.type == "cpu" and not torch.compiler.is_compiling():
+        plain = image.device.type == "cpu" and not image.requires_grad
+        if plain and not torch.compiler.is_compiling():
             distinct = distinct_patches(image, self.patch)
             if distinct is not None:
                 return distinct[0].to(compute_dtype(image)), distinct[1]
@@ -181,20 +182,21 @@ class PatchEncoder(nn.Module):
 
 
 def distinct_patches(image: Tensor, patch: int) -> tuple[Tensor, Tensor] | None:
-    """The patches of images on a CPU that differ, and which of them is where: uint8 [N, H, W, C]
-    -> uint8 [K, patch * patch * C], int64 [N, patches]; None where more than half of them differ.
+    """The patches of images on a CPU that differ, and which of them is where: [N, H, W, C] of any
+    dtype -> [K, patch * patch * C], int64 [N, patches]; None where more than half of them differ.
 
     They are found by a hash, and compared byte by byte: None, too, where different patches have the
     same hash, which they hardly ever have.
     """
     n, height, width, channels = image.shape
-    rows, columns, line = height // patch, width // patch, patch * channels
+    rows, columns = height // patch, width // patch
+    line = patch * channels * image.itemsize  # bytes
     # Lines of a patch are copied as items of as many bytes, which is three times as fast as bytes
     # one by one. Words of 8 bytes are hashed and compared; the last is padded with zeros.
     padded = np.zeros((n, rows, columns, -(-patch * line // 8)), np.int64)
     shape, strides = (*padded.shape[:3], patch), (*padded.strides[:3], line)
     lines = np.ndarray(shape, f"V{line}", padded, strides=strides)
-    pixels = image.contiguous().numpy().reshape(n, rows, patch, columns * line)
+    pixels = image.contiguous().view(torch.uint8).numpy().reshape(n, rows, patch, columns * line)
     lines[...] = pixels.view(f"V{line}").swapaxes(2, 3)
     words = padded.reshape(n * rows * columns, -1)
     weights = np.random.default_rng(0).integers(2**63, size=words.shape[1]) * 2 + 1
@@ -206,7 +208,8 @@ def distinct_patches(image: Tensor, patch: int) -> tuple[Tensor, Tensor] | None:
     found = words[one.numpy()]
     if not np.array_equal(found[place.numpy()], words):
         return None
-    return torch.from_numpy(found.view(np.uint8)[:, : patch * line]), place.view(n, -1)
+    distinct = np.ascontiguousarray(found.view(np.uint8)[:, : patch * line])
+    return torch.from_numpy(distinct).view(image.dtype), place.view(n, -1)
 
 
 class ComparingEncoder(PatchEncoder):
