@@ -195,7 +195,7 @@ def test_examples_of_train_are_accepted():
         words = arguments[: arguments.index("--explain")] if "--explain" in arguments else arguments
         overrides = [word for word in words if word != "-m"]
         asked = search.asked(overrides)
-        assert asked.ask() if asked else sweeps.check(overrides).jobs
+        assert asked.jobs if asked else sweeps.check(overrides).jobs
 
 
 LIGHT = """

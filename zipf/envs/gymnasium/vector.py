@@ -132,7 +132,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         self.id = id
         self.replayed_name = f"environment {id!r}"
         self.options = dict(mapping("options", options))
-        self._called = id + (f" with {short(self.options)}" if self.options else "")
+        self._called = f"{id}" + (f" with {short(self.options)}" if self.options else "")
         self.wrap = wrap
         self.render_mode = render_mode
         if render_mode not in ("rgb_array", None):
