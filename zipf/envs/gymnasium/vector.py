@@ -132,7 +132,8 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         self.id = id
         self.replayed_name = f"environment {id!r}"
         self.options = dict(mapping("options", options))
-        self._called = f"{id}" + (f" with {short(self.options)}" if self.options else "")
+        self._given = f" with {short(self.options)}" if self.options else ""
+        self._called = f"{id}{self._given}"
         self.wrap = wrap
         self.render_mode = render_mode
         if render_mode not in ("rgb_array", None):
@@ -183,7 +184,7 @@ class GymnasiumVectorEnv(ReplayedVectorEnv):
         self._idle.put(self, first)
 
     def name_of(self, i: int) -> str:
-        return self.replayed_name + (f" with {short(self.options)}" if self.options else "")
+        return self.replayed_name + self._given
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One frame of each env, uint8 [height, width, 3], with `render_mode="rgb_array"`.
@@ -383,10 +384,9 @@ def _time_limits(env: gym.Env) -> Iterator[int]:
     layer: Any = env
     while layer is not None:
         spec = getattr(layer, "spec", None)
-        own = {name: getattr(layer, name, None) for name in _TIME_LIMITS}
-        for declared in (own, vars(spec) if spec else {}, spec.kwargs if spec else {}):
-            for name in _TIME_LIMITS:
-                limit = declared.get(name)
+        kwargs = spec.kwargs if spec else {}
+        for name in _TIME_LIMITS:
+            for limit in (getattr(layer, name, None), getattr(spec, name, None), kwargs.get(name)):
                 if isinstance(limit, int | np.integer) and limit > 0:
                     yield int(limit)
         layer = layer.env if isinstance(layer, gym.Wrapper) else None

@@ -11,6 +11,7 @@ import csv
 import itertools
 import math
 import shlex
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -160,9 +161,10 @@ class Search:
         self._end = first.updates, first.schedule.window
         self._trials = [_Tried(values, self._runs(values)) for values in drawn]
         self.jobs = [job for one in self._trials for job in one.jobs]
-        if len({job.config.folder for job in self.jobs}) < len(self.jobs):
+        used = Counter(job.config.folder for job in self.jobs)
+        if shared := [folder for folder, times in used.items() if times > 1]:
             raise UserError(
-                f"{self.jobs[0].config.folder}: two trials would use this folder; leave out name=, "
+                f"{shared[0]}: two trials would use this folder; leave out name=, "
                 "and search options that change what is learned"
             )
 

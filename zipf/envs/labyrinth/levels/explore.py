@@ -191,16 +191,15 @@ class ObjectRewards(Explore):
     Approximated: the bitmaps of the patterns are ours.
     """
 
-    kinds: ClassVar[int]
-
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         super().__init__(world, rng)
+        kinds = len(self.places) // 2
         self.objects = []
-        for kind in rng.choice(len(_KINDS), self.kinds, replace=False).tolist():
+        for kind in rng.choice(len(_KINDS), kinds, replace=False).tolist():
             shape, pattern, pair = _KINDS[kind]
             colours = pair if rng.integers(2) else pair[::-1]
             self.objects.append(world.add_item(shape, colours=colours, pattern=pattern))
-        self.good = self.objects[: self.kinds // 2]
+        self.good = self.objects[: kinds // 2]
         self.tried: set[int] = set()
 
     def begin_map(self, rng: np.random.Generator) -> None:
@@ -239,10 +238,8 @@ class ObjectRewards(Explore):
 
 
 class ObjectRewardsFew(ObjectRewards):
-    kinds = 4
     maze_options = MazeOptions(13, 13, rooms=1, smallest=11, largest=11, objects=8)
 
 
 class ObjectRewardsMany(ObjectRewards):
-    kinds = 8
     maze_options = MazeOptions(13, 13, rooms=1, smallest=11, largest=11, objects=16)
