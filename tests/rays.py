@@ -44,7 +44,10 @@ ATLAS = MeshAtlas(
 )
 COLOURED = replace(ATLAS, parts=ATLAS.parts % 2)
 """The same meshes without parts of fixed colours."""
-STACK = textures.stack()
+FENCE = len(textures.NAMES)
+STACK = np.concatenate([textures.stack(), textures.stack()[:1]])
+STACK[FENCE, ..., 3] = np.where(np.arange(SIZE) % 32 < 10, 255, 0)
+"""All textures, and last one with holes: upright bars."""
 WIDTH, HEIGHT = 64, 48
 
 
@@ -57,7 +60,7 @@ def plain(*colours):
 
 
 def view(scenes, stack=STACK, width=WIDTH, height=HEIGHT, atlas=ATLAS, **options):
-    renderer = Renderer(atlas, stack, width=width, height=height, **options)
+    renderer = Renderer(atlas, pack_textures(stack), width=width, height=height, **options)
     out = np.zeros((scenes.num_envs, height, width, 3), np.uint8)
     renderer.render(scenes, out)
     return out
@@ -151,10 +154,7 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT, atlas=ATLAS):
             hit = eye + t[..., None] * rays
             u, v = (hit - (x1, y1, 0)) @ along, z1 - hit[..., 2]
             inside = within(u, length) & within(v, z1 - z0)
-            per = [
-                SIZE / (r or whole)
-                for r, whole in zip(scenes.wall_repeat[world, k], (length, z1 - z0), strict=True)
-            ]
+            per = [SIZE / (scenes.wall_repeat[world, k] or whole) for whole in (length, z1 - z0)]
             area = per[0] * per[1] * t**3 / focal**2 / abs(distance)
             found = texel(
                 packed, texture, np.nan_to_num(u * per[0]), np.nan_to_num(v * per[1]), area
@@ -171,7 +171,7 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT, atlas=ATLAS):
         for k in range(scenes.flat_count[world]):
             x0, y0, x1, y1, z = scenes.flats[world, k].astype(float)
             texture, flags = scenes.flat_looks[world, k]
-            first, rows, columns = scenes.flat_tiles[world, k]
+            rows, columns = scenes.flat_tiles[world, k]
             above = eye[2] > z
             if not flags & TWO_SIDED and above == bool(flags & FACES_DOWN):
                 continue
@@ -185,7 +185,7 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT, atlas=ATLAS):
             if rows:
                 column = np.clip(u * columns / (x1 - x0), 0, columns - 1).astype(int)
                 row = np.clip(v * rows / (y1 - y0), 0, rows - 1).astype(int)
-                which = scenes.tiles[world, first + row * columns + column]
+                which = scenes.tiles[world, row * columns + column]
                 inside &= which >= 0
                 which = np.maximum(which, 0)
                 which, sides = which & TILE_TEXTURE, which >> TILE_SIDES
@@ -193,8 +193,6 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT, atlas=ATLAS):
             per_u, per_v = SIZE / (repeat or wide), SIZE / (repeat or deep)
             area = per_u * per_v * t**3 / focal**2 / abs(z - eye[2])
             found = texel(packed, which, u * per_u, v * per_v, area)
-            if flags & SEE_THROUGH:
-                inside &= found[..., 3] >= 128
             normal = (0, 0, 1 if above else -1)
             light = sun_on(scenes, world, normal, optics.SURFACE_DARK, optics.SURFACE_SUN)
             colour = found[..., :3] * scenes.flat_tint[world, k] / 255
@@ -262,8 +260,8 @@ def cast(scenes, world, stack, width=WIDTH, height=HEIGHT, atlas=ATLAS):
 
 def cast_terrain(scenes, world, packed, eye, rays, focal, put):
     west, south, size, repeat = scenes.terrain[world].astype(float)
-    per = SIZE / (repeat or size)
-    for row, column in np.argwhere(scenes.terrain_looks[world] >= 0):
+    per = SIZE / repeat
+    for row, column in np.ndindex(*np.subtract(scenes.heights.shape[1:], 1)):
         sw, se, nw, ne = (
             np.array([west + size * c, south + size * r, scenes.heights[world, r, c]])
             for r in (row, row + 1)
@@ -281,7 +279,7 @@ def cast_terrain(scenes, world, packed, eye, rays, focal, put):
             for p, q in ((a, b), (b, c), (c, a)):
                 inside &= np.cross(q - p, hit - p) @ normal >= 0
             u, v = np.nan_to_num(hit[..., 0] - west), np.nan_to_num(hit[..., 1] - south)
-            look = scenes.terrain_looks[world, row, column]
+            look = scenes.terrain_texture[world]
             found = texel(packed, look, u * per, v * per, per**2 * t**3 / focal**2 / above)
             light = sun_on(scenes, world, normal, optics.MESH_DARK, optics.MESH_SUN)
             colour = found[..., :3] * scenes.terrain_tint[world] / 255
@@ -313,18 +311,18 @@ def random_scenes(seed, envs=6, *, patterns=False, **more):
     corners = ((0, 0), (5, 0), (5, 4), (0, 4))
     for world in range(envs):
         for k in range(4):
-            repeat = ((1, 1), (0, 0), (1.5, 0), (0, 0.7))[k]
+            repeat = (1, 0, 1.5, 0.7)[k]
             ends = corners[k] + corners[(k + 1) % 4]
             texture, flags = int(rng.integers(len(STACK))), GROUNDED * (k % 2)
             scenes.add_walls(world, ends, (0, 2.5), texture, flags=flags, repeat=repeat)
         for k in range(5):
             scenes.add_walls(
                 world, rng.uniform((0, 0, 0, 0), (5, 4, 5, 4)), (rng.uniform(0, 1), 1.5),
-                int(rng.integers(len(STACK))), flags=TWO_SIDED * (k % 2), repeat=(1, 1),
+                int(rng.integers(len(STACK))), flags=TWO_SIDED * (k % 2), repeat=1,
                 tint=rng.integers(100, 256, 3),
             )  # fmt: skip
         scenes.add_walls(
-            world, rng.uniform((0, 0, 0, 0), (5, 4, 5, 4)), (0, 1), textures.index("fence"),
+            world, rng.uniform((0, 0, 0, 0), (5, 4, 5, 4)), (0, 1), FENCE,
             flags=TWO_SIDED | SEE_THROUGH,
         )  # fmt: skip
         tiles = rng.integers(0, len(STACK), (3, 4))
@@ -335,7 +333,7 @@ def random_scenes(seed, envs=6, *, patterns=False, **more):
         scenes.add_flat(
             world, (1, 1, 2, 3), 0.7, 2, flags=TWO_SIDED | WEST | NORTH, tint=(255, 90, 40)
         )
-        scenes.add_flat(world, (3, 1, 4, 2), 0.4, textures.index("fence"), flags=SEE_THROUGH)
+        scenes.add_flat(world, (3, 1, 4, 2), 0.4, 3)
         for k in range(5):
             scenes.mesh[world, k] = rng.integers(-1, 2)
             scenes.position[world, k] = rng.uniform((0, 0, 0), (5, 4, 2))

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from conftest import metrics_of
-from envs_of import needs
 from networks import compact
 from tensordict import TensorDict
 from test_impala import OPTIONS as OF_IMPALA
@@ -45,7 +43,6 @@ from zipf.agents.vmpo import VMPO
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, loading
 from zipf.experiments.options import command_line
-from zipf.experiments.training import runner
 
 ACTIONS, STEPS, BATCH, WORDS, LENGTH = 3, 7, 4, 6, 5
 COMPACT = compact(patch=None, channels=8, size=16, head_size=0)
@@ -600,17 +597,6 @@ def test_the_registry_has_the_losses_by_the_names_of_their_options():
     assert sorted(command_line.choices("auxiliary")) == sorted(AUXILIARIES.options)
 
 
-@pytest.mark.parametrize("experiment", ["gridworld", "playroom_lift"])
-@pytest.mark.parametrize("auxiliary", command_line.choices("auxiliary"))
-def test_every_auxiliary_loss_composes(experiment, auxiliary):
-    overrides = [f"experiment={experiment}", f"auxiliary={auxiliary}"]
-    if lacking := needs(experiment, auxiliary=auxiliary):
-        with pytest.raises(UserError, match=lacking):
-            loading.load(overrides)
-    else:
-        assert loading.load(overrides).auxiliary.name == auxiliary
-
-
 def test_the_papers_sizes():
     paper = loading.load(["experiment=playroom_lift", "auxiliary=byol"]).auxiliary
     assert (paper.forward_hidden, paper.projection_hidden) == (100, 200)
@@ -656,40 +642,6 @@ def test_byol_reads_tiles():
     loading.load(
         ["experiment=gridworld_compact", "auxiliary=byol", "environment.observation=tiles"]
     )
-
-
-@pytest.mark.parametrize("auxiliary", ["byol_frame", "byol_horizon"])
-def test_runs_train_and_resume(auxiliary, tmp_path):
-    """With the losses that no condition has; `test_train.py` has the others."""
-    tiny = [
-        "experiment=demo",
-        f"auxiliary={auxiliary}",
-        "collector.num_envs=4",
-        "collector.unroll_length=6",
-        "evaluation.episodes=2",
-        "schedule.log_every=1",
-        "environment.max_steps=5",
-        "memory.size=8",
-        "network.size=8",
-        "device=cpu",
-    ]
-    whole = loading.load([*tiny, "updates=2", f"run_root={tmp_path / 'whole'}"])
-    cut = [*tiny, f"run_root={tmp_path / 'cut'}"]
-    assert runner.train(whole) == 0
-    for updates in (1, 2):
-        resumed = loading.load([*cut, f"updates={updates}"])
-        assert runner.train(resumed) == 0
-    one, other = (
-        checkpoint.load(c.folder / "checkpoint.pt")["agent"]["auxiliary"] for c in (whole, resumed)
-    )
-    assert one.pop("_extra_state") == other.pop("_extra_state") == 2
-    assert one.keys() == other.keys()
-    for name, value in one.items():
-        assert torch.equal(value, other[name]), name
-    metrics = metrics_of(whole.folder)
-    told = [name for name in metrics.columns if name.startswith("auxiliary")]
-    assert told == ["auxiliary_byol", "auxiliary_byol_spread"]
-    assert metrics[told].notna().all(axis=None)
 
 
 # What they teach

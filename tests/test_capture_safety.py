@@ -333,22 +333,6 @@ def test_an_empty_place_among_relabelled_episodes_changes_nothing():
     assert not any(gradient.any() for gradient in gradients)
 
 
-def test_hindsight_fades_by_a_tensor():
-    made, episodes = make("impala", device="cpu"), relabelled()
-    fading = HINDSIGHT.model_copy(update={"fade": 8})
-    counter = torch.tensor(0)
-    for updates in (0, 2, 8, 9):
-        counter.fill_(updates)
-        one, expected = (
-            hindsight_loss(made.network, episodes, fading, discount=0.9, updates=number)
-            for number in (counter, updates)
-        )
-        torch.testing.assert_close(one[0], torch.as_tensor(expected[0]))
-        torch.testing.assert_close(one[1], expected[1], equal_nan=True)
-    assert fading.share(torch.tensor(2)) == 0.75
-    assert HINDSIGHT.share(torch.tensor(2)) == HINDSIGHT.share(2) == 1
-
-
 def read(numbers):
     return numbers.sum().item()
 

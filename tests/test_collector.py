@@ -423,23 +423,4 @@ def test_it_continues_from_its_state(memory, bonus):
             assert torch.equal(steps[name][:until], again[name][:until]), name
 
 
-def test_worlds_that_are_not_restored_begin_an_episode(monkeypatch):
-    """As those of an environment that turns out not to be deterministic."""
-    _, collector = build()
-    collector.collect()
-    state = deepcopy(collector.state_dict())
-    assert not state["inputs"]["is_first"].all()
-    restarted = np.arange(ENVS) % 2 == 0
-    set_state = collector.env.set_state
-    monkeypatch.setattr(collector.env, "set_state", lambda given: set_state(given) | restarted)
-    collector.load_state_dict(state)
-    steps = collector.collect().steps
-    begins = restarted | np.asarray(state["inputs"]["is_first"])
-    np.testing.assert_array_equal(np.asarray(steps["is_first"][0]), begins)
-    assert (np.asarray(steps["previous_action"][0])[restarted] == -1).all()
-    assert (np.asarray(steps["previous_reward"][0])[restarted] == 0).all()
-    kept = np.asarray(steps["previous_action"][0])[~restarted]
-    np.testing.assert_array_equal(kept, state["inputs"]["previous_action"][~restarted])
-
-
 _FIRST_ROWS = (("observation", "image"), "previous_action", "previous_reward", "is_first")

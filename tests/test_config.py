@@ -125,6 +125,9 @@ def test_the_papers_values_of_r2d2(experiment, condition, options):
         agent.burn_in,
         agent.priority_max_weight,
     ) == options
+    assert agent.weight_decay == 1e-4
+    assert agent.replay_capacity == 10**5
+    assert not agent.epsilon_ladder
     uniform = condition == "r2d2_uniform_replay"
     assert (agent.priority_exponent, agent.importance_exponent) == (
         (0, 0) if uniform else (0.9, 0.6)
@@ -143,6 +146,7 @@ def test_the_papers_values_of_vmpo(experiment):
     assert loaded.agent.learning_rate == 3e-5
     assert loaded.agent.dual_learning_rate == 3e-3
     assert loaded.agent.epsilon_eta == loaded.agent.epsilon_alpha == 0.1
+    assert loaded.agent.top_fraction == 0.5  # the table's T_target is read as this
 
 
 def test_the_papers_values():

@@ -172,7 +172,6 @@ def test_files_in_hydras_layout_are_told_their_places(folder):
         "condition/a.yaml": "the block 'a' of {}/condition.yaml",
         "experiment/b.yaml": "{}/experiments/b.yaml",
         "sweep/c.yaml": "the block 'c' of {}/sweep.yaml",
-        "values/demo/d.yaml": "the block 'd' of 'agent' or 'memory' in {}/experiments/demo.yaml",
     }
     here = folder(dict.fromkeys(places, "# @package _global_\n") | {"hydra/launcher/e.yaml": ""})
     with pytest.raises(UserError) as error:
@@ -243,6 +242,27 @@ def test_mistakes_in_files_are_one_line(file, text, told, folder):
         loading.load([*words, "condition=bad"] if file.startswith("condition") else words)
     assert told in str(error.value)
     assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("text", ["updates: 3\n", "environment: {size: 3}\n"])
+def test_an_experiment_without_an_environment_says_so(text, folder):
+    folder({"experiments/bare.yaml": text})
+    condition = "condition=impala_transformer_vision_language"  # for envs with an instruction
+    for words in ([], [condition]):
+        with pytest.raises(UserError, match=r"(?m)^environment(\.split)?: is not set$"):
+            loading.load(["experiment=bare", *words])
+
+
+def test_hidden_files_are_not_read(folder):
+    """An editor's lock is a link to nowhere."""
+    here = folder({**FILES, "experiments/.old.yaml": "- 1\n", ".conditions.yaml": "- 1\n"})
+    for hidden in (".#condition.yaml", "experiments/.#mine.yaml"):
+        (here / hidden).symlink_to("me@here.123")
+    assert loading.load(["experiment=mine"]).updates == 7
+    assert not [one for one in composing.choices("experiment") if one.startswith(".")]
+    (here / "experiments" / "lost.yaml").symlink_to("nowhere")
+    with pytest.raises(UserError, match=r"lost\.yaml: cannot be read: No such file"):
+        loading.load(["experiment=mine"])
 
 
 def test_choices_are_known_without_pytorch():

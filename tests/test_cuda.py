@@ -63,6 +63,8 @@ def test_options_go_together(agent, lag):
 @on_cuda
 def test_an_agent_that_draws_on_the_host_is_scored(cuda):
     class Drawing:
+        device = cuda
+
         def initial_memory(self, num_envs):
             return {}
 
@@ -70,7 +72,7 @@ def test_an_agent_that_draws_on_the_host_is_scored(cuda):
             n = len(inputs.is_first)
             return torch.randint(8, (n,), generator=generator), memory, {}
 
-    policy = AgentPolicy(Drawing(), seed=0, device=cuda)
+    policy = AgentPolicy(Drawing(), seed=0)
     policy.start(3)
     for _ in range(2):
         assert policy({}, np.zeros(3, np.float32), np.zeros(3, np.bool_)).shape == (3,)

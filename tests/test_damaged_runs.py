@@ -38,6 +38,7 @@ DAMAGED = {
     "a cell more": edit(b"\n2,", b"\n2,,"),
     "nul": edit(b"\n2,", b"\n2,\0"),
     "random": lambda content: bytes(range(256)) * 4,
+    "blank lines": lambda content: b"\n" * len(content),
 }
 DESCRIPTIONS = {
     "emptied": lambda content: b"",

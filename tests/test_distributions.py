@@ -24,10 +24,6 @@ def test_zipfian_follows_the_law() -> None:
     np.testing.assert_array_equal(zipfian(7, 0), uniform(7))
 
 
-def test_the_most_frequent_pair_of_the_benchmark_is_39_percent() -> None:
-    assert zipfian(20, 2)[0] ** 2 == pytest.approx(0.3925051762686023, abs=1e-12)
-
-
 def test_rare_is_the_last_fifth() -> None:
     np.testing.assert_array_equal(np.flatnonzero(rare(20)), [16, 17, 18, 19])
     np.testing.assert_array_equal(np.flatnonzero(rare(9)), [8])

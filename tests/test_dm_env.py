@@ -87,7 +87,7 @@ def test_specs_name_and_bound_what_an_agent_sees():
     text = DmEnv("playroom/lift/lift_shape_uniform").observation_spec()["instruction"]
     assert (text.shape, text.dtype) == ((6,), np.int64)
     codes = spaces.MultiDiscrete([3, 4], start=[-1, 2])
-    for space in (codes, spaces.MultiBinary((2, 3))):
+    for space in (codes, spaces.MultiBinary((2, 3)), spaces.Discrete(3, start=1)):
         spec = _spec("part", space)
         assert (spec.shape, spec.dtype) == (space.shape, space.dtype)
         spec.validate(space.sample())

@@ -219,7 +219,6 @@ def test_arguments_of_gymnasium_worlds(options: dict[str, Any]) -> None:
     "options",
     [
         {"levels": ["uniform"]},
-        {"level_options": ["uniform"]},
         {"probabilities": "many"},
         {"probabilities": [[1.0], 2.0]},
         {"exponent": "steep"},

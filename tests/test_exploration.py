@@ -61,15 +61,6 @@ def test_a_small_table_is_used_whole():
     assert 90 < used <= 128  # 111 of a random function, by the mean
 
 
-def test_state_dict_continues_bit_for_bit():
-    image = {"image": np.arange(12, dtype=np.uint8).reshape(4, 3)}
-    mask = np.ones(4, np.bool_)
-    one, other = CountBonus(OPTIONS), CountBonus(OPTIONS)
-    one(image, mask)
-    other.load_state_dict(one.state_dict())
-    np.testing.assert_array_equal(other(image, mask), np.float32(0.3 / np.sqrt(2)))
-
-
 def test_the_first_visit_bonus_equals_first_visits_of_an_episode():
     rng = np.random.default_rng(1)
     bonus, seen = FirstVisitBonus(FIRST_VISIT), [set() for _ in range(8)]
@@ -89,23 +80,6 @@ def test_the_first_visit_bonus_equals_first_visits_of_an_episode():
                 seen[i] = set()
         bonus.begin({}, ended)
     assert 100 < paid < 300  # of 336: some were seen before, and again new after an episode's end
-
-
-def test_the_first_visit_bonus_continues_bit_for_bit():
-    rng = np.random.default_rng(2)
-    one, other = FirstVisitBonus(FIRST_VISIT), FirstVisitBonus(FIRST_VISIT)
-    everywhere = np.ones(4, np.bool_)
-    for _ in range(5):
-        one({"image": rng.integers(3, size=(4, 2), dtype=np.uint8)}, everywhere)
-        one.begin({}, np.array([True, False, False, False]))
-    other.load_state_dict(one.state_dict())
-    again = {"image": np.repeat(rng.integers(3, size=(9, 1, 2), dtype=np.uint8), 4, 1)}
-    results = [[b({"image": image}, everywhere) for image in again["image"]] for b in (one, other)]
-    np.testing.assert_array_equal(*results)
-    assert np.unique(np.stack(results[0])).size == 2
-    nothing = other  # of what it has seen nothing is left
-    nothing.load_state_dict(FirstVisitBonus(FIRST_VISIT).state_dict())
-    assert nothing({"image": again["image"][0]}, everywhere).all()
 
 
 LENGTH, LIMIT = 36, 60

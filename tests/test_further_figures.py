@@ -6,6 +6,7 @@ import itertools
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from run_folders import (
     SITUATIONS,
@@ -18,17 +19,21 @@ from run_folders import (
     write_run,
 )
 
+from zipf.experiments.records.wording import KIND_NAMES
 from zipf.experiments.reporting.charts import (
     KIND_MARKS,
     ZERO,
+    _log_axis,
+    _visits_axis,
     averages,
     by_visits,
     frequencies,
     learning_curves,
 )
-from zipf.experiments.reporting.panels import Chart, Looks, looks_of
+from zipf.experiments.reporting.panels import GREY, Chart, Looks, looks_of
 from zipf.experiments.reporting.situations import shares
 from zipf.experiments.reporting.tables import ScoreTable
+from zipf.protocol import PAPER_KINDS
 
 
 def points(chart: Chart | None, panel: int = 0) -> list[list[list[float]]]:
@@ -116,6 +121,29 @@ def test_averages_explain_ranges_of_seeds_only_where_there_are_some(
     figure = picture_of(only_table(tmp_path), "averages")
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
     assert ("Lowest to highest seed" in texts) == (seeds > 1)
+
+
+def test_the_legend_of_averages_is_no_mark_of_a_row(tmp_path: Path) -> None:
+    """Also where the last row, an agent as no baseline is known, lacks a kind."""
+    levels = [level(kind, f"gridworld/{kind}") for kind in PAPER_KINDS]
+    write_run(tmp_path, constant(0.5), levels=levels)
+    folder = write_run(tmp_path, constant(0.6), condition="r2d2", levels=levels)
+    written = (folder / "evaluations.csv").read_text().splitlines(keepends=True)
+    (folder / "evaluations.csv").write_text("".join(x for x in written if ",rare," not in x))
+    chart = averages(*shown(tmp_path))
+    assert chart is not None
+    assert not [one for one in chart.panels[0].lines if one.colour == GREY and one.opacity]
+    figure = picture_of(only_table(tmp_path), "averages")
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert texts == [KIND_NAMES[kind] for kind in PAPER_KINDS]
+    handles = figure.legends[0].legend_handles
+    assert [handle.get_alpha() for handle in handles if handle] == [None] * 3
+
+
+def test_a_logarithmic_axis_has_ticks_between_round_numbers() -> None:
+    axis = _log_axis("", [1 / 3, 0.35], lambda share: f"{100 * share:.3g} %")
+    assert axis.ticks == ([1 / 3, 0.35], ["33.3 %", "35 %"])
+    assert _visits_axis("", pd.Series([3333.3])).ticks == ([3333.3], ["3.33k"])
 
 
 def test_long_titles_of_averages_have_room(tmp_path: Path) -> None:

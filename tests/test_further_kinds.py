@@ -226,6 +226,16 @@ def test_intervals_of_rare_scores_also_cover_which_situations_these_are() -> Non
     assert (low, high) == pytest.approx((0.21, 0.295), abs=0.03)
 
 
+def test_situations_that_are_alike_make_intervals_little_wider() -> None:
+    """Drawing situations and then episodes doubles the variance, as every two-stage bootstrap."""
+    rng, ratios = np.random.default_rng(0), []
+    for _ in range(20):
+        returns = rng.permutation(np.arange(400) % 2 == 0) * 1.0
+        low, high = scoring.bootstrap_over_situations(np.arange(400) % 20, returns)
+        ratios.append((high - low) / (2 * 1.96 * 0.5 / np.sqrt(400)))
+    assert np.mean(ratios) == pytest.approx(np.sqrt(1.9), rel=0.06)
+
+
 def test_situations_that_are_hardly_met_are_drawn_by_their_first_rank() -> None:
     level = envs.SplitLevel("playroom/lift/lift_shape_uniform_rare")
     targets = 40 + np.arange(300) % 3

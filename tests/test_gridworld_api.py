@@ -80,6 +80,7 @@ def test_envs_on_numpy_arrays_are_made_and_checked_without_torch() -> None:
         ({"level": "zipf_-1"}, "finite and >= 0"),
         ({"num_objects": 100}, "at most .* objects fit"),
         ({"num_objects": 300}, "only 225 different looks"),
+        ({"num_objects": 200, "num_rooms": (9, 9)}, "up to about 90 objects"),
         ({"num_maps": 0}, "num_maps must be at least 1"),
         ({"num_rooms": (3,)}, r"num_rooms must be \(rows, columns\)"),
         ({"max_steps": 0}, "max_steps must be at least 1"),

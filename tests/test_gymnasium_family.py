@@ -118,13 +118,6 @@ def test_levels_follow_their_distributions(level: str, expected: Any) -> None:
     assert chisquare(counts[possible], expected[possible] * counts.sum()).pvalue > 1e-3
 
 
-def test_any_exponent_has_a_level() -> None:
-    for exponent, level in ((1e-5, "zipf_0.00001"), (1e22, f"zipf_1{'0' * 22}"), (2, "zipf_2")):
-        made = over(exponent=exponent)
-        assert made.levels[0] == level
-        made.make_batch(level, 2)
-
-
 def test_the_order_is_that_of_all_levels() -> None:
     for order, ranked in (("reversed", range(9, -1, -1)), (4, None)):
         made = over(order=order)

@@ -661,7 +661,8 @@ def test_make_vec_takes_gymnasiums_time_limit(id: str) -> None:
     env.reset(seed=0)
     ends = [env.step(np.zeros(2, np.int64))[2:4] for _ in range(3)]
     assert np.any(ends, (0, 1)).all()
-    gym.make_vec(id, num_envs=2, max_episode_steps=-1)
+    assert gym.make_vec(id, num_envs=2, max_episode_steps=-1).time_limit > 3
+    assert gym.make_vec(id, max_episode_steps=3, max_steps=np.int64(50)).time_limit == 3
     with pytest.raises(ValueError, match="max_episode_steps must be a whole number"):
         gym.make_vec(id, max_episode_steps="3")
     assert gym.spec(id).to_json()

@@ -505,15 +505,6 @@ def test_observations_that_are_not_in_their_space_are_refused(
         shown(space, value)
 
 
-@pytest.mark.parametrize("reward", [float("nan"), float("inf")])
-def test_rewards_are_finite(reward: float) -> None:
-    def paid(env: gym.Env) -> gym.Env:
-        return gym.wrappers.TransformReward(env, lambda _: reward)
-
-    with pytest.raises(ValueError, match="Everything-v0: a reward must be a finite number, got"):
-        everything(wrap=paid)
-
-
 def test_codes_are_whole_numbers() -> None:
     with pytest.raises(ValueError, match=r"value 0.5, no whole number: codes says 3: .* 0 .. 2"):
         shown(PIXELS, [1, 0.5], codes={"observation": 3})

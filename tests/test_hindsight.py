@@ -584,6 +584,12 @@ def test_agents_say_whether_they_learn_from_it(name):
 BURN_IN, LENGTH = 2, 5  # of the R2D2 and the unrolls of `test_agent`
 
 
+def sequences_of(made, episodes):
+    """Relabelled episodes as an R2D2 puts them into its replay."""
+    memory = made.initial_memory(episodes.shape[1])
+    return list(made.sequences.of_episodes(episodes, memory, made._advance))
+
+
 def test_replay_has_relabelled_episodes_as_sequences():
     """Put together again they are the episodes; the memory is that of stepping from their start;
     only an episode's steps have errors, and they are those of the episode in one piece."""
@@ -591,9 +597,7 @@ def test_replay_has_relabelled_episodes_as_sequences():
     made = build("r2d2", hindsight=options)
     lengths = [12, 3, 6]
     episodes = episodes_of(lengths, actions=2)
-    stored = []
-    made._store = stored.append
-    made._insert_episodes(episodes)
+    stored = sequences_of(made, episodes)
     assert [len(items) for items in stored] == [3, 2, 1]
     for e, length in enumerate(lengths):
         for cut, start in enumerate(range(0, length, LENGTH)):
@@ -612,10 +616,8 @@ def test_replay_has_relabelled_episodes_as_sequences():
             _, errors, _ = made._losses(stored[cut][row : row + 1])
             assert not errors[len(here) :].any()
             assert errors[: len(here)].all()
-    made = build("r2d2", hindsight=options)
-    assert made._insert_episodes(episodes) == len(made.replay) == 6
     episodes["mask"][:] = False  # as on a device, where no episode is relabelled
-    assert made._insert_episodes(episodes) == 0
+    assert not sequences_of(made, episodes)
     for length, kept, problem in (
         (None, None, r"length=null: agent=r2d2 needs a whole number"),
         (13, 4, r"kept_per_goal=4: agent=r2d2 keeps episodes in its replay; choose null"),
@@ -710,7 +712,7 @@ def rare_success(relabelling, seed, updates=120):
     for _ in range(updates):
         agent.update(collector.collect())
     test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.ENVS)
-    played = play(AgentPolicy(agent, seed=1, device="cpu"), test, episodes=300, seed=2)
+    played = play(AgentPolicy(agent, seed=1), test, episodes=300, seed=2)
     return played["success"][played["target"] == 2].mean()
 
 
@@ -728,7 +730,8 @@ def test_relabelled_episodes_in_replay_have_the_weight_one():
     """Where the other frames are weighed; with the empty rows, which have no error, at 0."""
     options = OPTIONS.model_copy(update={"length": 13, "episodes": 3})
     made = build("r2d2", hindsight=options, weighted=True)
-    made._insert_episodes(episodes_of([4, 2], actions=2))
+    for sequences in sequences_of(made, episodes_of([4, 2], actions=2)):
+        made._store(sequences)
     items, _, _ = made.replay.sample(8)
     inside = (items["steps", "weight"] == 1).sum(1).tolist()
     assert set(inside) == {4, 2}

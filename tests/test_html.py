@@ -17,7 +17,6 @@ from PIL import Image
 from run_folders import (
     SITUATIONS,
     constant,
-    refusal,
     row_of,
     write_external,
     write_run,
@@ -248,6 +247,23 @@ def test_figures_have_the_data_of_the_runs(written: tuple[Path, str]) -> None:
     assert "<image" in text  # a heat map
 
 
+def test_pictures_say_what_they_show(written: tuple[Path, str]) -> None:
+    """A panel's title is that of a picture of one panel."""
+    labels = Page(written[1]).attributes("aria-label")
+    assert "gridworld: interquartile mean with 95 % interval across seeds" in labels
+    assert "gridworld: what the training score hides" in labels
+    assert "gridworld: learning curves, Rare" in labels
+
+
+def test_conditions_of_one_title_have_their_own_colours(tmp_path: Path) -> None:
+    row = {"title": "Mine", "order": None, "colour": None, "line": "solid"}
+    for condition in ("a", "b"):
+        write_run(tmp_path, constant(0.5), condition=condition, row=row)
+    swatches = re.findall('class="swatch" style="background: (.*?)"', made(tmp_path))
+    assert swatches[:2] == swatches[2:]  # of the table, and of the lines
+    assert len(set(swatches)) == 2
+
+
 def test_lines_can_be_hidden_one_by_one(written: tuple[Path, str]) -> None:
     parsed = Page(written[1])
     boxes = {given["value"] for tag, given in parsed.tags if tag == "input"}
@@ -413,14 +429,6 @@ def test_a_page_is_not_older_than_the_tables_beside_it(tmp_path: Path) -> None:
     assert "mine" in beside.read_text()
     report.report([tmp_path / "runs"], tmp_path / "elsewhere")
     assert not (tmp_path / "elsewhere/report.html").exists()
-
-
-def test_a_folder_is_not_taken_for_the_page(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_run(tmp_path, constant(0.5))
-    told = refusal(capsys, str(tmp_path), "html=runs")
-    assert "html=runs: should be true, or a name that ends in .html" in told
 
 
 # --- in a browser ----------------------------------------------------------------------------

@@ -125,7 +125,7 @@ def test_it_learns_what_its_teacher_does():
     for _ in range(100):
         agent.update(collector.collect())
     test = envs.make_vec("gridworld/uniform", 100, **tiny_gridworld.ENVS)
-    played = play(AgentPolicy(agent, seed=1, device="cpu"), test, episodes=500, seed=2)
+    played = play(AgentPolicy(agent, seed=1), test, episodes=500, seed=2)
     assert played["success"].mean() > 0.8  # chance is a third
 
 

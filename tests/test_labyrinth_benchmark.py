@@ -1,5 +1,6 @@
 """The benchmark's levels draw a task at every reset, by the law that their name says."""
 
+import pickle
 from functools import partial
 from typing import Any
 
@@ -127,6 +128,22 @@ def test_scripted_players_play_all_tasks(of: envs.Scripted) -> None:
 def test_unknown_levels(name: str) -> None:
     with pytest.raises(ValueError, match=r"unknown level '.*expected one of .*zipf<exponent>"):
         make_vec(f"labyrinth/{name}", 1)
+
+
+@pytest.mark.parametrize("name", ["order", "exponent", "rank", "draw", "levels_of_envs"])
+def test_options_are_those_of_the_tasks(name: str) -> None:
+    for level in ("uniform", "rooms_watermaze"):
+        with pytest.raises(ValueError, match=f"unknown option '{name}'.*expected one of backend"):
+            benchmark.make_vec(2, level, **{name: None})
+    env = make_vec(
+        "labyrinth/uniform", 2, max_steps=5, autoreset_mode="Disabled", copy=False,
+        render_mode="rgb_array", **SMALL,
+    )  # fmt: skip
+    assert (env.time_limit, env.copy, env.render_mode) == (5, False, "rgb_array")
+    assert env.autoreset_mode.value == "Disabled"
+    env.reset(seed=0)
+    again = pickle.loads(pickle.dumps(env))
+    np.testing.assert_equal(again.step(np.zeros(2, int))[:4], env.step(np.zeros(2, int))[:4])
 
 
 @pytest.mark.parametrize("level", [3, None, ["zipf1"]])

@@ -98,20 +98,6 @@ def test_episodes_are_saved_restored_and_pickled(level: str) -> None:
             np.testing.assert_equal(one.step(actions)[:4], expected[:4])
 
 
-def test_worlds_that_are_not_reset_go_on() -> None:
-    env = batch("explore_goal_locations_small", 4, **SMALL, autoreset_mode="Disabled")
-    env.reset(seed=0)
-    env.step(np.zeros(4, np.int64))
-    before = env.envs.bodies.copy()
-    clock = env.envs.clock.copy()
-    mask = np.array([False, True, False, True])
-    env.reset(options={"reset_mask": mask})
-    assert (env.envs.bodies[~mask] == before[~mask]).all()
-    assert (env.envs.clock[~mask] == clock[~mask]).all()
-    assert (env.envs.clock[mask] == 0).all()
-    assert (env.envs.bodies[mask] != before[mask]).any(1).all()
-
-
 def test_ten_thousand_random_steps_of_all_levels() -> None:
     env = mixture(36)
     env.reset(seed=0)
@@ -135,7 +121,7 @@ def test_ten_thousand_random_steps_of_all_levels() -> None:
 
 def test_a_mixture_of_all_levels_steps_as_one() -> None:
     env = mixture(8)
-    assert set(env._engine_of.tolist()) == {0}
+    assert set(env.engines.tolist()) == {0}
     assert all(one.envs is env.batches[0].envs for one in env.batches)
     assert [one.level.name for one in env.batches] == list(LEVELS)
     env.reset(seed=0)
@@ -148,22 +134,6 @@ def test_a_mixture_of_all_levels_steps_as_one() -> None:
 def test_pictures_are_as_fast_as_the_world(repeat: int, fps: int) -> None:
     env = mixture(2, action_repeat=repeat)
     assert env.metadata["render_fps"] == env.batches[0].metadata["render_fps"] == fps
-
-
-def test_a_mixture_is_saved_and_pickled() -> None:
-    env, other = mixture(6), mixture(6)
-    env.reset(seed=0)
-    other.reset(seed=1)
-    rng = np.random.default_rng(0)
-    for _ in range(60):
-        env.step(rng.integers(15, size=6))
-    other.set_state(env.get_state())
-    pickled = pickle.loads(pickle.dumps(env))
-    for _ in range(20):
-        actions = rng.integers(15, size=6)
-        expected = env.step(actions)
-        for one in (other, pickled):
-            np.testing.assert_equal(one.step(actions)[:4], expected[:4])
 
 
 @pytest.mark.parametrize(
@@ -291,9 +261,8 @@ def test_worlds_that_have_not_begun_are_drawn_empty(level: str) -> None:
 def test_worlds_of_several_engines_are_drawn() -> None:
     """In a batch of an engine the envs of others have no episodes."""
     names = ("rooms_watermaze", "psychlab_visual_search", "explore_goal_locations_small")
-    options = {name: {"max_steps": 5 + k} for k, name in enumerate(names)}
-    makers = {name: MAKERS[name] for name in names}
-    env = Mixture(makers, 3, level_options=options, render_mode="rgb_array", **SMALL)
+    makers = {name: partial(MAKERS[name], max_steps=5 + k) for k, name in enumerate(names)}
+    env = Mixture(makers, 3, render_mode="rgb_array", **SMALL)
     env.reset(seed=0)
     assert len(set(env.engines)) == 3
     assert [is_empty(frame) for frame in env.render() or ()] == [False] * 3

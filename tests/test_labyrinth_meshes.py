@@ -16,7 +16,7 @@ from surfaces import (
 )
 
 import zipf.envs
-from zipf.envs.render3d import Renderer, Scenes, load_meshes, textures
+from zipf.envs.render3d import Renderer, Scenes, load_meshes, pack_textures, textures
 
 FILE = Path(zipf.envs.__file__).parent / "labyrinth" / "meshes.npz"
 ATLAS = load_meshes(FILE)
@@ -112,7 +112,7 @@ def shares() -> dict[str, np.ndarray]:
         place = (-away * math.cos(yaw), -away * math.sin(yaw), 0.5, yaw, pitch)
         scenes.camera[world] = place
     images = np.zeros((scenes.num_envs, 72, 96, 3), np.uint8)
-    Renderer(ATLAS, textures.stack()).render(scenes, images)
+    Renderer(ATLAS, pack_textures(textures.stack())).render(scenes, images)
     red, green, blue = np.moveaxis(images.astype(int), -1, 0)
     thing = blue < np.maximum(red, green).clip(200)
     main, accent = (red > green + blue) & thing, (green > red + blue) & thing

@@ -25,7 +25,7 @@ from zipf.agents.auxiliary import AUXILIARIES
 from zipf.agents.memory import LSTMOptions
 from zipf.agents.unroll import Unroll
 from zipf.errors import UserError
-from zipf.experiments.building import checkpoint, loading
+from zipf.experiments.building import checkpoint, loading, run_folder
 from zipf.experiments.cluster import runtime_of, torchrun
 from zipf.experiments.evaluation.trained import load_agent
 from zipf.experiments.hooks.visits import Visits
@@ -336,6 +336,14 @@ def test_the_learner_that_is_at_fault_tells_before_the_others(rank, error, late,
         monkeypatch.setenv("WORLD_SIZE", "2")
     torchrun.let_others_tell(error)
     assert sum(waited) == late * torchrun.HEAD_START
+
+
+def test_the_command_of_a_run_has_the_learners_of_a_machine(monkeypatch):
+    config = options_of(*TORCHRUN)
+    monkeypatch.delenv("LOCAL_WORLD_SIZE", raising=False)
+    assert run_folder._started_by(config) == ["torchrun", "--nproc-per-node=2"]
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", "1")
+    assert run_folder._started_by(config) == ["torchrun", "--nproc-per-node=1"]
 
 
 def test_a_sweep_is_refused(tmp_path):

@@ -63,7 +63,7 @@ def learn(agent, id, updates, seed=0, options=None, **envs):
         learner.update(collector.collect())
         if update % (updates // 10) == 0:
             curve.append(collector.episode_metrics().get("episode_return"))
-    policy = AgentPolicy(learner, seed=1, device="cpu")
+    policy = AgentPolicy(learner, seed=1)
     played = play(policy, GymnasiumVectorEnv(50, id, **envs), episodes=100, seed=2)
     return float(played["return"].mean()), curve
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 from conftest import TINY, assert_equal, learned, metrics_of
-from test_agent import NAMES, build, unrolls
+from test_agent import NAMES, build
 
 from zipf.agents.learner import Learner
 from zipf.errors import UserError
@@ -27,22 +27,6 @@ def test_every_optimiser_of_an_agent_is_scaled_and_back(name):
     assert rates(agent) == [0.25 * rate for rate in own]
     agent.scale_learning_rates(0.5)  # of what they were built with
     assert rates(agent) == [0.5 * rate for rate in own]
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_nothing_is_learned_with_a_factor_of_zero(name):
-    agent = build(name)
-    agent.begin_learning()
-    before = {key: value.clone() for key, value in agent.actor.state_dict().items()}
-    first, *others = unrolls(agent, 4)
-    agent.scale_learning_rates(0.0)
-    agent.update(first)
-    assert_equal(dict(agent.actor.state_dict()), before)
-    agent.scale_learning_rates(1.0)
-    for unroll in others:
-        agent.update(unroll)
-    after = agent.actor.state_dict()
-    assert any(not torch.equal(after[k], before[k]) for k in before)
 
 
 def test_the_factor_falls_linearly_and_is_never_zero_in_an_update():

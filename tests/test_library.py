@@ -154,6 +154,8 @@ def test_training_tells_all_mistakes_at_once():
     assert second == "agent.lerning_rate: no such option; did you mean agent.learning_rate?"
     with pytest.raises(ValueError, match="options must be a mapping, got 'seed=1'"):
         zipf.train(experiment="demo", options="seed=1")
+    with pytest.raises(zipf.UserError, match=r"^hydra/launcher=joblib: is for the jobs of a sweep"):
+        zipf.train(experiment="demo", options={"hydra/launcher": "joblib"})
 
 
 @pytest.mark.parametrize(
@@ -169,6 +171,7 @@ def test_training_tells_all_mistakes_at_once():
         ("true", "'true'"),
         ("1e3", "'1e3'"),
         ("it's, so", "'it\\'s, so'"),
+        ("café", "'café'"),
         ({"title": "A"}, "{title:A}"),
     ],
 )
@@ -361,7 +364,7 @@ def test_a_report_and_an_evaluation_show_tables(trained_once, tmp_path, monkeypa
     assert made.files == ()
     assert repr(made) == "Report(1 run: demo)"
     assert set(made.to_dataframe()["level_kind"]) >= {"train", "uniform", "rare"}
-    assert "<td>Chance</td>" in made._repr_html_()
+    assert "\n| Chance |" in made._repr_markdown_()
     figures = made.figures()
     assert "demo_learning" in figures
     assert figures["demo_learning"]._repr_png_().startswith(b"\x89PNG")

@@ -101,16 +101,6 @@ def test_each_block_is_its_levels_own_batch() -> None:
     assert ended.min() > 10
 
 
-def test_ranks_are_forced_and_worlds_reset_across_levels() -> None:
-    env = mixture(autoreset_mode=AutoresetMode.DISABLED)
-    info = env.reset(seed=0, options={"map": np.arange(7) % 6, "target": 4})[1]
-    np.testing.assert_array_equal(info["map"], np.arange(7) % 6)
-    np.testing.assert_array_equal(info["target"], 4)
-    mask = np.array([0, 1, 0, 0, 1, 1, 0], np.bool_)
-    info = env.reset(options={"target": 0, "reset_mask": mask})[1]
-    np.testing.assert_array_equal(info["target"], np.where(mask, 0, 4))
-
-
 def test_a_state_is_of_its_levels() -> None:
     env = mixture()
     env.reset(seed=0)
@@ -119,10 +109,9 @@ def test_a_state_is_of_its_levels() -> None:
     with pytest.raises(ValueError, match="a state has the keys"):
         mixture(levels=LEVELS[::-1][:2]).set_state(state)
     # The last level refuses its part, after the first has taken over its own: nothing changes.
-    levels: Any = {"easy": partial(make_vec, LEVELS[0]), "hard": partial(make_vec, LEVELS[1])}
-    other = [
-        Mixture(levels, 4, **SMALL, level_options={"hard": {"max_steps": 5}}) for _ in range(2)
-    ]
+    hard = partial(make_vec, LEVELS[1], **{**SMALL, "max_steps": 5})
+    levels: Any = {"easy": partial(make_vec, LEVELS[0], **SMALL), "hard": hard}
+    other = [Mixture(levels, 4) for _ in range(2)]
     state = other[0].get_state()
     other[0].reset(seed=0)
     other[1].reset(seed=1)
@@ -132,16 +121,6 @@ def test_a_state_is_of_its_levels() -> None:
     with pytest.raises(ValueError, match="damaged"):
         other[1].set_state(state)
     np.testing.assert_equal(other[1].get_state(), before)
-
-
-def test_a_pickled_one_draws_from_its_own_streams() -> None:
-    env = mixture()
-    env.reset(seed=0)
-    other = pickle.loads(pickle.dumps(env))
-    rng = np.random.default_rng(0)
-    for _ in range(30):
-        actions = rng.integers(8, size=7)
-        np.testing.assert_equal(other.step(actions)[:4], env.step(actions)[:4])
 
 
 def test_a_family_whose_state_is_what_was_done_is_mixed() -> None:
@@ -389,11 +368,26 @@ def test_what_levels_do_not_share_is_left_out() -> None:
     assert drawn().situation == {"level": 4, "map": 6, "target": 5}
 
 
-def test_levels_have_options_of_their_own() -> None:
-    env = drawn(level_options={"rare": {"max_steps": 2}, "uniform": {"max_steps": 3}})
-    assert [batch.level.max_steps for batch in env.batches] == [9, 9, 3, 2]
-    with pytest.raises(ValueError, match=r"unknown levels \['rarest'\]: expected some of zipf_3"):
-        drawn(level_options={"rarest": {}})
+def test_levels_share_their_arrays_as_soon_as_they_are_made() -> None:
+    """So that not all of them have arrays of their own at the same time."""
+    made: list[Any] = []
+
+    def making(num_envs: int, **options: Any) -> ZipfVectorEnv:
+        assert all(batch._envs is made[0]._envs for batch in made)
+        made.append(make_vec("gridworld/uniform", num_envs, **options))
+        return made[-1]
+
+    env = drawn(levels=dict.fromkeys("abcd", making))
+    assert env.engines.tolist() == [0] * 4
+    assert env.time_limit == 9
+
+
+def test_levels_of_one_engine_may_have_other_time_limits() -> None:
+    names = ("rooms_select_nonmatching_object", "rooms_watermaze", "lasertag_one_opponent_small")
+    levels = {name: partial(make_vec, f"labyrinth/{name}", image_size=(3, 4)) for name in names}
+    env = Mixture(levels, 3)
+    assert env.engines.tolist() == [0] * 3
+    assert env.time_limit == max(make(1).time_limit or 0 for make in levels.values())
 
 
 PLAYROOM: Any = {
@@ -401,26 +395,6 @@ PLAYROOM: Any = {
     "near": partial(make_vec, "playroom/put/put_near_bed_tray_frequent"),
     "long": partial(make_vec, "playroom/put/put_on_bed_tray_all", max_steps=23),
 }
-
-
-def test_drawn_levels_of_the_playroom_are_replayed() -> None:
-    """Its states and pickles hold actions: only envs on a level are replayed by it."""
-    options = {"image_size": (6, 8), "draw": "resets", "exponent": 0.0}
-    levels = {**PLAYROOM, "lift": partial(PLAYROOM["lift"], max_steps=7)}
-    env, other = (Mixture(levels, 5, **options) for _ in range(2))
-    env.reset(seed=2)
-    rng = np.random.default_rng(0)
-    for _ in range(18):
-        env.step(rng.integers(46, size=5))
-    assert len(set(env.levels_of_envs.tolist())) > 1
-    other.reset(seed=7)
-    other.set_state(env.get_state())
-    pickled = pickle.loads(pickle.dumps(env))
-    for _ in range(30):
-        actions = rng.integers(46, size=5)
-        expected = env.step(actions)
-        for one in (other, pickled):
-            np.testing.assert_equal(one.step(actions)[:4], expected[:4])
 
 
 def test_drawn_levels_of_the_playroom_keep_the_contract() -> None:
@@ -445,7 +419,6 @@ def test_mixtures_are_levels_of_mixtures() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"level_options": {"rare": 3}}, r"level_options\['rare'\] must be a mapping, got 3"),
         ({"draw": "steps"}, "draw must be 'worlds' or 'resets', got 'steps'"),
         ({"exponent": None}, "draw='resets' needs either exponent or probabilities"),
         ({"probabilities": [1, 1, 1, 1]}, "needs either exponent or probabilities"),
@@ -501,7 +474,13 @@ def test_what_actions_point_at_is_kept_where_the_levels_agree() -> None:
 
 def test_levels_with_other_observations_or_actions_are_named() -> None:
     with pytest.raises(ValueError, match=r"space, but 'cue' is Box.* in zipf_3 and absent in rare"):
-        drawn(level_options={"rare": {"observation": "image"}})
+        Mixture(
+            {
+                "zipf_3": partial(EASY["zipf_3"], **SMALL),
+                "rare": partial(EASY["rare"], **{**SMALL, "observation": "image"}),
+            },
+            2,
+        )
     with pytest.raises(ValueError, match=r"same single_observation_space, but 'count' is Box"):
         Mixture({"count": Counting, "grid": EASY["rare"]}, 2, draw="resets", exponent=1)
 

@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 from conftest import assert_equal, learned, untimed
 from gymnasium import spaces
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -430,13 +430,4 @@ def check(spec: Spec, folder: Path) -> None:
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(spec=specs())
 def test_odd_environments(spec: Spec, tmp_path_factory: pytest.TempPathFactory) -> None:
-    check(spec, tmp_path_factory.mktemp("run"))
-
-
-@pytest.mark.slow
-@settings(
-    max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
-)
-@given(spec=specs())
-def test_many_odd_environments(spec: Spec, tmp_path_factory: pytest.TempPathFactory) -> None:
     check(spec, tmp_path_factory.mktemp("run"))

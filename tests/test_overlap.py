@@ -5,11 +5,10 @@ import signal
 import threading
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
 import torch.nn.functional as F
-from conftest import TINY, assert_equal, learned, untimed
+from conftest import TINY, assert_equal, learned
 
 from zipf import envs
 from zipf.agents.unroll import Unroll
@@ -111,26 +110,6 @@ def test_it_equals_the_definition_bit_for_bit(overrides, tmp_path):
         assert all(abs(row["importance_ratio"] - 1) > 1e-6 for row in metrics[1:])
 
 
-@pytest.mark.parametrize("stop", [0, 1, 3])
-def test_a_resumed_run_equals_an_uninterrupted_one(stop, tmp_path):
-    """Stopped after some updates, also after so many as were asked for."""
-    whole = config_of(tmp_path / "whole", "updates=6", "evaluation.every=3")
-    cut = config_of(tmp_path / "cut", "updates=6", "evaluation.every=3")
-    assert runner.train(whole) == 0
-    if stop:
-        assert runner.train(cut.model_copy(update={"updates": stop})) == 0
-    else:
-        run_folder.make(cut.folder)
-        with runner.Run(cut) as run:
-            run.save()
-    assert runner.train(cut) == 0
-    assert_equal(learned(whole.folder), learned(cut.folder))
-    one, other = (untimed(config.folder / "metrics.csv") for config in (whole, cut))
-    pd.testing.assert_frame_equal(one, other)
-    parts = {*("steps", "memory", "late_memory", "final", "episodes")}
-    assert learned(whole.folder)["source"]["pending"].keys() == parts
-
-
 def test_an_unroll_that_was_not_learned_from_stays_in_ram(tmp_path):
     """Its memory alone is on the device, as that of a collected one: augmentation of what the host
     steps is NumPy's."""
@@ -211,9 +190,6 @@ class Envs:
 
     device = "cpu"
     visits = Visits(())
-
-    def take_visits(self):
-        return self.visits
 
     def take_episodes(self):
         return {}

@@ -94,6 +94,18 @@ def test_a_key_means_one_thing(key):
         Keys((Binding(("a",), "", (0,)), Binding((key,), "", (1,))), (Toggle("x", ""),))
 
 
+def test_actions_are_one_or_one_for_each_combination_of_toggles():
+    toggle = Toggle("x", "fast")
+    for bindings, toggles in (
+        ((Binding(("a",), "go", (1, 2)),), ()),
+        ((Binding(("a",), "go", ()),), ()),
+        ((Binding(("a",), "go", (1, 2, 3)),), (toggle, Toggle("y", "hold"))),
+        ((), (toggle, Toggle("y", "go", (1, 2)))),
+    ):
+        with pytest.raises(ValueError, match=r"'go' has \d actions: must be 1 or \d"):
+            Keys(bindings, toggles)
+
+
 def test_what_a_terminal_sends_is_read_as_keys():
     sent = (
         "aQ \t\r\x7f\x1b[A\x1bOB\x1b[1;2C\x1b[D\x1b[5~\x1b[6;5~\x1b[H\x1b[4~\x1bOw\x1b[99~\x1b\x01é"
@@ -327,17 +339,6 @@ def test_a_still_is_the_first_frame_at_the_size_asked_for(view, tmp_path):
     assert drawn.shape[1] == width
 
 
-def test_what_will_be_large_is_said_while_it_is_recorded(tmp_path, monkeypatch):
-    monkeypatch.setattr(sessions, "_SAMPLE", 20_000)
-    monkeypatch.setattr(sessions, "_TOO_LARGE", 1_000_000)
-    asked = [*["level=gridworld/uniform", "policy=random", "seed=3"], f"record={tmp_path}/x.gif"]
-    said = play(*asked, "episodes=15")
-    (large,) = [i for i, line in enumerate(said) if "will have up to" in line]
-    assert 0 < large < len(said) - 2
-    assert re.match(r"x.gif will have up to \d MB, at \d kB a step .* an .mp4, a smal", said[large])
-    assert not any("will have" in line for line in play(*asked, "episodes=1"))
-
-
 def test_the_text_below_pictures_fits(tmp_path):
     picture = np.zeros((60, 200, 3), np.uint8)
     short, long = (captioned(picture, ("Title", words), True) for words in ("done", "word " * 12))
@@ -396,7 +397,7 @@ def test_the_agent_acts_as_when_it_is_scored(run, tmp_path):
     said = play(f"run={run}", "episodes=1", "seed=7", f"record={tmp_path}/out.gif")
     trained = load_agent(run, "cpu")
     env = envs.make_vec("gridworld/zipf_2", 1, **trained.config.level_options)
-    policy = AgentPolicy(trained.agent, seed=derive_seed(7, "actions"), device="cpu")
+    policy = AgentPolicy(trained.agent, seed=derive_seed(7, "actions"))
     episode = score(policy, env, episodes=1, seed=7).iloc[0]
     assert f"map {episode['map']}, target {episode['target']}:" in said[1]
     assert said[1].split()[-2] == str(episode["length"])
@@ -788,6 +789,18 @@ def test_a_person_plays_in_a_window(monkeypatch):
         assert f"step {i}   return 0" in lines[3]
         if action is not None:
             env.step(np.array([action]))
+
+
+def test_a_window_reads_keys_also_where_there_is_no_time_to_wait(monkeypatch):
+    """As while a slow policy is watched."""
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    with screens.Window() as window:
+        window.show(np.zeros((8, 8, 3), np.uint8), screens.Text(("",), ()))
+        assert window.key(0.0) is None
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_q, unicode="q"))
+        pygame.event.post(pygame.event.Event(pygame.QUIT))
+        assert [window.key(0.0) for _ in range(3)] == ["q", LEAVE, None]
 
 
 @pytest.mark.parametrize(

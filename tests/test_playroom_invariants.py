@@ -131,39 +131,6 @@ def test_the_state_stays_consistent_under_any_actions(
     play(env, repeated_actions(rng, 120) if repeated else rng.integers(46, size=(120, N)))
 
 
-@given(actions=st.lists(st.integers(0, 45), min_size=1, max_size=60), seed=st.integers(0, 1000))
-@settings(max_examples=25, deadline=None)
-def test_the_same_actions_give_the_same_episode(actions: list[int], seed: int) -> None:
-    """Whatever was played before, and whatever happens in other envs."""
-    options = {"image_size": (3, 4), "autoreset_mode": "Disabled"}
-    env, other = (PlayroomVectorEnv(n, LEVELS[1], **options) for n in (1, 2))
-    other.reset(seed=77)
-    other.step(np.array([1, 24]))
-    first, second = env.reset(seed=seed)[0], other.reset(seed=[5, seed])[0]
-    for action in actions:
-        np.testing.assert_array_equal(first["image"][0], second["image"][1])
-        np.testing.assert_array_equal(env.envs.objects[0], other.envs.objects[1])
-        if not (env._running.all() and other._running.all()):
-            break
-        first, *ends, _ = env.step(np.array([action]))
-        second, *others, _ = other.step(np.array([0, action]))
-        np.testing.assert_array_equal([end[0] for end in ends], [end[1] for end in others])
-
-
-def test_a_state_can_be_continued_from_any_step() -> None:
-    rng = np.random.default_rng(0)
-    env = Endless(N, LEVELS[1], image_size=(1, 1))
-    env.reset(seed=0)
-    actions = repeated_actions(rng, 240)
-    for t in range(0, 240, 40):
-        other = Endless(N, LEVELS[1], image_size=(1, 1))
-        other.set_state(env.get_state())
-        for row in actions[t : t + 40]:
-            np.testing.assert_equal(other.step(row)[:4], env.step(row)[:4])
-        for name in ("agents", "objects", "orientation", "status", "hands", "still", "lifted"):
-            np.testing.assert_array_equal(getattr(other.envs, name), getattr(env.envs, name))
-
-
 # Tight corners.
 
 

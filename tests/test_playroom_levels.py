@@ -207,24 +207,6 @@ def test_equal_ranks_may_be_forced() -> None:
             assert (info[name] != 2).all()
 
 
-@pytest.mark.parametrize("level", slow_but(LEVELS, *KINDS))
-def test_forcing_does_not_change_the_episodes_that_follow(level: str) -> None:
-    env = PlayroomVectorEnv(6, level, image_size=(1, 1))
-    env.reset(seed=5)
-    streams = env.get_state()["streams"]
-    expected = env.reset()[1]
-    poses = env.envs.objects.copy()
-    rng = np.random.default_rng(0)
-    for _ in range(4):
-        names = [name for name in env.situation if rng.random() < 0.7]
-        env.reset(
-            seed=5, options={name: rng.integers(env.situation[name], size=6) for name in names}
-        )
-        np.testing.assert_array_equal(env.get_state()["streams"], streams)
-        np.testing.assert_equal(env.reset()[1], expected)
-        np.testing.assert_array_equal(env.envs.objects, poses)
-
-
 def test_any_task_may_be_forced() -> None:
     env = PlayroomVectorEnv(5, "put/lift_shape_uniform", image_size=(1, 1))
     info = env.reset(seed=0, options={"task": np.arange(5)})[1]

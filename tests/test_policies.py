@@ -319,14 +319,6 @@ def test_what_is_not_known_of_a_models_env_is_refused(sb3, monkeypatch):
             evaluate.score(sb3.policy(model), "cartpole", episodes=2)
 
 
-def test_normalising_leaves_the_batchs_own_space(sb3):
-    from stable_baselines3.common.vec_env import VecNormalize
-
-    batch = envs.make_vec("gridworld/zipf_2", 2, **SMALL)
-    VecNormalize(sb3.ZipfVecEnv(batch))
-    assert batch.single_observation_space["image"].dtype == np.uint8
-
-
 def test_a_model_on_images_that_it_transposes(sb3, tmp_path):
     model = ppo(sb3, **SMALL)
     model.env_options = {"num_maps": 5}

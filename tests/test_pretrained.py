@@ -140,11 +140,11 @@ def test_runs_that_began_with_another_go_on_in_another_folder(first, tmp_path):
     old.rename(new)
     assert run_folder.is_finished(loading.load(options(new)))
     assert train(options(new, "updates=3")) == 0
-    whole = {"options": {**saved, "pretrained.run": f"{old}/demo/first/seed0"}}  # as before
-    run_folder.check_options(new, whole, loading.load(options(new)))
     with pytest.raises(UserError, match=r"pretrained\.run=demo/first/seed0 there"):
         run_folder.check_options(
-            new, whole, loading.load(options(new, f"pretrained.run={new}/demo/moved/seed0"))
+            new,
+            {"options": saved},
+            loading.load(options(new, f"pretrained.run={new}/demo/moved/seed0")),
         )
 
 

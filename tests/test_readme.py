@@ -294,6 +294,9 @@ ROOMS = [
 for i, room in enumerate(ROOMS[1:], 1):
     below = {f"zipf.experiments.{name}" for name in ROOMS[: i + 1]}
     MAY_IMPORT[f"zipf/experiments/{room}"] = {"zipf.agents", "zipf.envs", "zipf.plugins", *below}
+MAY_IMPORT["zipf/experiments/reporting"] = {
+    f"zipf.experiments.{room}" for room in ("records", "reporting")
+}
 
 
 @pytest.mark.parametrize("part", MAY_IMPORT)

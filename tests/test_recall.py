@@ -37,7 +37,7 @@ def trained(memory, updates, **changes):
     collector = HostCollector(env, agent, unroll_length=2 * (DELAY + 1), seed=0)
     for _ in range(updates):
         agent.update(collector.collect())
-    policy = AgentPolicy(agent, seed=1, device="cpu")
+    policy = AgentPolicy(agent, seed=1)
     return play(policy, Recall(100, DELAY), episodes=1000, seed=2)
 
 

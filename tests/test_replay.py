@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from conftest import assert_equal
 from fake_cuda import DEVICE, fake_cuda, on_device
 from scipy.stats import chisquare
 from tensordict import NonTensorData, TensorDict
@@ -18,7 +17,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from zipf.agents import free_space, replay
-from zipf.agents.priorities import DeviceSampler, PrioritySampler, SumTree
+from zipf.agents.priorities import SMALLEST_PRIORITY, PrioritySampler
 from zipf.agents.replay import Replay
 from zipf.experiments.building import checkpoint
 
@@ -51,24 +50,28 @@ def build(folder=None, capacity=10, spare=6, item=ITEM, **changes):
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 7, 8, 100])
-def test_the_tree_equals_a_list_with_sums(size):
-    rng = np.random.default_rng(size)
-    tree, plain = SumTree(size), np.zeros(size)
-    for _ in range(50):
-        index = rng.integers(size, size=rng.integers(1, 6))
-        value = rng.random(len(index)) * (rng.random(len(index)) < 0.7)
-        tree.set(index, value)
-        for i, v in zip(index, value, strict=True):
-            plain[i] = v
-        np.testing.assert_array_equal(tree.leaves, plain)
-        assert tree.total == pytest.approx(plain.sum(), abs=1e-12)
-        if plain.sum() == 0:
-            continue
-        masses = np.append(rng.random(20) * tree.total, [0.0, tree.total])
-        for mass, found in zip(masses, tree.find(masses), strict=True):
-            assert plain[found] > 0
-            assert plain[:found].sum() <= mass + 1e-12
-            assert mass <= plain[: found + 1].sum() + 1e-12
+def test_draws_are_those_of_a_list_with_sums(size, monkeypatch):
+    """Each is the first item up to which the sum is more than a mass; also before all are there."""
+    rng, plain = np.random.default_rng(size), np.zeros(size)
+    sampler = PrioritySampler(
+        size, size, priority_exponent=1.0, importance_exponent=0.6, seed=0, device="cpu"
+    )
+    for inserted in (range(size // 2 + 1), range(size // 2 + 1, size)):
+        plain[inserted] = plain.max(initial=1)
+        sampler.extend(torch.tensor(inserted, dtype=torch.int64))
+        for _ in range(50):
+            index = rng.integers(inserted.stop, size=rng.integers(1, 6))
+            index = np.unique(index)
+            value = rng.random(len(index)) * (rng.random(len(index)) < 0.7)
+            sampler.update_priority(torch.from_numpy(index), torch.from_numpy(value))
+            plain[index] = value.clip(SMALLEST_PRIORITY)
+            offsets = rng.random(20)
+            monkeypatch.setattr(sampler, "_offsets", lambda _, given=offsets: torch.tensor(given))
+            found = sampler.sample(None, 20)[0].numpy()
+            mass, until = (np.arange(20) + offsets) * (plain.sum() / 20), plain.cumsum()
+            assert (plain[found] > 0).all()
+            assert (until[found] - plain[found] <= mass + 1e-9).all()
+            assert (mass <= until[found] + 1e-9).all()
 
 
 def follows(counts, probabilities):
@@ -134,7 +137,7 @@ def test_new_items_have_the_largest_priority_so_far(exponent):
     sampler = sampler_with([3.0, 0.5, 0.5], exponent)
     sampler.update_priority(torch.tensor([0, 1]), torch.tensor([0.25, 0.75]))
     sampler.extend(torch.tensor([0]))  # the ring begins again
-    np.testing.assert_allclose(sampler.tree.leaves, np.array([3.0, 0.75, 0.5]) ** exponent)
+    np.testing.assert_allclose(sampler.leaves, np.array([3.0, 0.75, 0.5]) ** exponent)
 
 
 def test_draws_do_not_depend_on_the_size_of_the_ring():
@@ -156,36 +159,6 @@ def test_draws_do_not_depend_on_the_size_of_the_ring():
     assert drawn[10] == drawn[13] == drawn[40]
 
 
-@pytest.mark.parametrize("capacity", [1, 7, 64, 1000])
-def test_draws_on_a_device_are_those_on_the_host(capacity):
-    chosen = {"priority_exponent": 0.9, "importance_exponent": 0.6, "seed": 3}
-    host = PrioritySampler(capacity, capacity, **chosen)
-    device = DeviceSampler(capacity, **chosen, device=torch.device("cpu"))
-    rng = np.random.default_rng(0)
-    for step in range(100):
-        inserted = rng.integers(1, min(capacity, 32), endpoint=True)
-        slots = torch.from_numpy((host.inserted + np.arange(inserted)) % capacity)
-        host.extend(slots)
-        device.extend(slots)
-        assert len(device) == len(host)
-        drawn, info = host.sample(None, 32)
-        found, other = device.sample(None, 32)
-        assert torch.equal(found, drawn)
-        torch.testing.assert_close(other["weight"], info["weight"])
-        # Where a slot is drawn twice, both have the same priority.
-        priority = torch.from_numpy(rng.exponential(size=capacity).astype(np.float32))[drawn]
-        host.update_priority(drawn, priority)
-        device.update_priority(drawn, priority)
-        if step == 50:  # what one has saved, the other goes on with
-            host.load_state_dict(device.state_dict())
-    saved, expected = device.state_dict(), host.state_dict()
-    torch.testing.assert_close(saved.pop("leaves"), expected.pop("leaves"))
-    assert_equal(saved, expected)
-    other = DeviceSampler(capacity, **chosen | {"seed": 0}, device=torch.device("cpu"))
-    other.load_state_dict(device.state_dict())
-    assert torch.equal(other.sample(None, 32)[0], device.sample(None, 32)[0])
-
-
 class OneDevice(TorchDispatchMode):
     """No tensor is copied from the host to the device or back."""
 
@@ -201,7 +174,7 @@ def test_the_host_never_waits_for_a_replay_on_a_device(monkeypatch):
     monkeypatch.setattr(replay, "free_on", lambda device: 10**9)
     with fake_cuda():
         offsets = torch.zeros(16, dtype=torch.float64, device=DEVICE)
-        monkeypatch.setattr(DeviceSampler, "_offsets", lambda sampler, count: offsets)
+        monkeypatch.setattr(PrioritySampler, "_offsets", lambda sampler, count: offsets)
         item = on_device(ITEM)
         kept = build(None, item=item)
         kept.insert(item.expand(8).clone())  # makes it

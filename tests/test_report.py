@@ -395,11 +395,6 @@ def test_each_runs_own_window_in_one_table(tmp_path: Path) -> None:
     assert charts.window_ends(table, "update") is None
 
 
-def test_where_all_runs_have_the_same_own_window_nothing_changes(runs: Path) -> None:
-    asked, usual = only_table(runs / "gridworld", "own"), only_table(runs / "gridworld")
-    assert markdown.markdown(asked) == markdown.markdown(usual)
-
-
 @pytest.mark.parametrize("text", ["", "5", "3:2", "-1:2", "a:b", "last:0", "last:25%", "1.5:2"])
 def test_no_windows(text: str, runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert f"window {text!r}" in refusal(capsys, str(runs), f"window={text}")
@@ -484,6 +479,15 @@ def test_disagreement_about_chance_is_noted(tmp_path: Path) -> None:
     table = only_table(tmp_path)
     assert table.baseline("chance") == CHANCE
     assert "seed1 disagree about chance (0.09 and 0.10 on gridworld/rare)" in table.notes[0]
+
+
+def test_a_disagreement_about_chance_names_the_one_that_is_shown(tmp_path: Path) -> None:
+    write_run(tmp_path, constant(0.5))
+    other = gridworld({**CHANCE, "rare": 0.1})
+    write_run(tmp_path, constant(0.5), condition="r2d2", levels=other)
+    (table,) = tables.score_tables(results.load_runs([tmp_path]), order=["r2d2"])
+    assert table.baseline("chance")["rare"] == 0.1
+    assert "impala/seed0 disagree about chance (0.10 and 0.09 on gridworld/rare)" in table.notes[0]
 
 
 def test_episodes_of_a_reference_are_those_of_the_score_that_is_shown(tmp_path: Path) -> None:
@@ -713,18 +717,6 @@ def test_it_needs_neither_torch_nor_a_display(runs: Path) -> None:
     )
 
 
-def test_the_report_reads_files_and_imports_nothing_else_of_the_package() -> None:
-    folder = Path(report.__file__).parent / "experiments/reporting"
-    imported = {
-        name
-        for path in folder.glob("*.py")
-        for name in re.findall(r"(?:from|import) (zipf[\w.]*)", path.read_text())
-    }
-    rooms = ("zipf.experiments.reporting", "zipf.experiments.records")
-    others = {name for name in imported if not name.startswith(rooms)}
-    assert others == {"zipf.errors", "zipf.protocol"}
-
-
 # --- output ----------------------------------------------------------------------------------
 
 
@@ -903,8 +895,14 @@ def test_chosen_conditions_are_shown_in_their_order(
     for option in ("conditions", "highlight"):
         told = refusal(capsys, str(tmp_path), f"{option}=impala,vmpo")
         assert "vmpo: no such condition; there are impala, " in told
+        for none in ("[]", ","):
+            assert f"{option}: names none; leave it out" in refusal(
+                capsys, str(tmp_path), f"{option}={none}"
+            )
+    (table,) = report.report([tmp_path], conditions="impala,").tables
+    assert [row.key for row in table.rows] == ["impala"]
     for wrong in ({"conditions": []}, {"format": "jpg"}):
-        with pytest.raises(UserError, match=r"should be png|names none"):
+        with pytest.raises(UserError, match=r"should be png|conditions: names none"):
             report.report([tmp_path], tmp_path / "report", **wrong)
     assert not (tmp_path / "report").exists()
 

@@ -111,6 +111,15 @@ RETURNS = (
 )
 
 
+def test_ranks_have_the_same_name_in_every_figure(tmp_path: Path) -> None:
+    rows = (SITUATIONS.replace("map,target", "map,cue_colour"), "300,uniform,0,1,10,5,5.0")
+    write_run(tmp_path, constant(0.5), situations=rows, situation={"map": 3, "cue_colour": 4})
+    _, ranks, maps = drawn(only_table(tmp_path))
+    assert [axis.get_title() for axis in ranks.axes] == ["Map", "Cue colour"]
+    assert maps.axes[0].get_ylabel() == "Map rank"
+    assert maps.axes[0].get_xlabel() == "Cue colour rank"
+
+
 def test_the_mean_return_stands_in_for_success(tmp_path: Path) -> None:
     write_run(tmp_path, constant(0.5), situations=RETURNS, success=False)
     table = only_table(tmp_path)

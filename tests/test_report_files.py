@@ -108,6 +108,15 @@ def test_other_damage_names_file_and_line(
     assert len(message) < 500
 
 
+@pytest.mark.parametrize("content", [b"\n", b"\n\n", b"\nupdate,frames,seconds\n"])
+def test_a_blank_first_line_is_damage(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes
+) -> None:
+    folder = write_run(tmp_path, {})
+    (folder / "metrics.csv").write_bytes(content)
+    assert "metrics.csv, line 1: is empty" in refusal(capsys, str(tmp_path))
+
+
 DAMAGE = [b"\x80", b"\xff\xfe", b"\r", b"\n", b"\x00", b'"', b"abc", b",,,", b"9" * 400]
 FILES = [
     "run.json",

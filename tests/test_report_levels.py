@@ -388,6 +388,21 @@ def test_scores_are_capped_only_across_levels_that_are_all_normalised(
     assert "apped" not in markdown.markdown(table)
 
 
+@pytest.mark.parametrize("normalised", [True, False])
+def test_baselines_are_capped_where_the_first_run_has_not_their_levels(
+    tmp_path: Path, normalised: bool
+) -> None:
+    """As one of before there were validation levels has none."""
+    other = {**of_humans("validation", "d", expert=2.0), "normalised": normalised}
+    write_run(tmp_path, constant(0.5, 7), levels=HUMAN_TASKS, paper=None, spread="tasks")
+    more = {"levels": [*HUMAN_TASKS, other], "paper": None, "spread": "tasks"}
+    write_run(tmp_path, constant(0.5, 8), condition="r2d2", **more)
+    found = line(only_table(tmp_path), "r2d2", "validation")
+    assert found["expert"] == 2
+    for name, value in (("capped_score", 0.5), ("capped_expert", 1.0)):
+        assert found[name] == pytest.approx(value if normalised else math.nan, nan_ok=True)
+
+
 def test_scores_in_different_units_do_not_share_a_table(tmp_path: Path) -> None:
     returns = [{**one, "normalised": False} for one in HUMAN_TASKS]
     write_run(tmp_path, constant(0.5, 7), levels=HUMAN_TASKS, paper=None)

@@ -5,10 +5,8 @@ import re
 
 import pytest
 from conftest import TINY, run
-from pydantic import ValidationError
 
 from zipf.errors import UserError
-from zipf.experiments.options import composing, config_files
 from zipf.experiments.options.catalogue import help_text
 from zipf.experiments.sweeping import job, search, sweep
 
@@ -121,7 +119,7 @@ def test_whole_numbers_and_the_ends_of_an_interval():
         (["search.objective=fresh"], "should be train or validation"),
         (["search.objective=trian"], "search.objective=trian: should be 'train' or 'validation'"),
         (["search.trials=0"], "search.trials=0: should be greater than or equal to 1"),
-        (["search.trial=4"], "search.trial: no such option; did you mean search.trials?"),
+        (["search.trial=4"], "search.trial: no such option; did you mean trials?"),
         (["search.batch=4"], "search.batch: no such option"),
         (["search=randm"], "search=randm: no such search; there is random"),
         (["sweep=demo"], "sweep=demo: a search is of one experiment"),
@@ -154,12 +152,23 @@ def test_what_is_no_search_says_how_to_make_one():
     assert search.asked([*TINY, "seed=0,1"]) is None
 
 
-def test_the_options_of_a_search_are_in_a_file():
-    assert composing.choices("search") == ["random"]
-    search.RandomSearch.model_validate(config_files.find("search", "random").values)
-    assert re.search(r"^  random +\S", help_text(), re.MULTILINE)
-    with pytest.raises(ValidationError):
-        search.RandomSearch(trials=1, objective="rare", seed=0)
+def test_help_has_the_options_of_a_search():
+    told = "search.trials=20 search.objective=validation search.seed=0"
+    assert re.search(rf"^  random +\S.*{re.escape(told)}$", help_text(), re.MULTILINE)
+
+
+@pytest.mark.parametrize("seed", ["0", "0,1"])
+def test_trials_that_do_not_fit_are_one_clear_line(seed, monkeypatch, tmp_path):
+    """And not the runs of a seed that is not asked for."""
+    monkeypatch.chdir(tmp_path)
+    words = ["experiment=demo", "search=random", RATE, f"seed={seed}"]
+    for wrong, told in (
+        (["agent=supervised"], "agent=supervised: there are no questions about"),
+        (["run_root='~nouser/x'"], "run_root=~nouser/x: cannot be a folder"),
+    ):
+        with pytest.raises(UserError, match=f"^{told}") as error:
+            search.asked([*words, *wrong])
+        assert len(str(error.value).splitlines()) == 1
 
 
 @pytest.mark.slow

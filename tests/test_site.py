@@ -11,7 +11,6 @@ from mkdocs.exceptions import PluginError
 from pages import DOCS, RECORD, ROOT
 
 from zipf import envs
-from zipf.experiments.options import config_files
 
 
 class Loader(yaml.SafeLoader):
@@ -55,11 +54,6 @@ def test_every_script_is_named_where_a_maintainer_looks():
     scripts = [one for one in (ROOT / "scripts").glob("*.py") if "__main__" in one.read_text()]
     assert len(scripts) > 10
     assert not [script.name for script in scripts if script.name not in text]
-
-
-def test_every_family_and_part_of_an_agent_has_a_page():
-    assert {f"environments/{name}.md" for name in envs.families()} <= set(PLACES)
-    assert {f"agents/{group}.md" for group in config_files.parts()} <= set(PLACES)
 
 
 def test_a_familys_page_has_a_picture_and_all_tables():

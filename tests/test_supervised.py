@@ -1,8 +1,5 @@
 """The supervised classifier: its questions, labels and update, and that it learns."""
 
-import copy
-import pickle
-
 import numpy as np
 import pytest
 import torch
@@ -125,20 +122,6 @@ def test_an_answer_achieves_what_names_the_object_on_its_side():
         final = step["final_info"]
         assert final["has_achieved"].all()
         np.testing.assert_array_equal(final["achieved"], other if wrong else asked)
-
-
-@pytest.mark.parametrize("mode", ["SameStep", "NextStep", "Disabled"])
-def test_answered_questions_are_restored(mode):
-    """Where an episode waits for its reset, too: it has a length, but no physics to replay."""
-    env, other = (FirstFrameVectorEnv(3, LEVEL, autoreset_mode=mode) for _ in range(2))
-    env.reset(seed=1)
-    answered, *_ = env.step(np.zeros(3, np.int64))
-    other.set_state(env.get_state())
-    for one in (other, pickle.loads(pickle.dumps(env)), copy.deepcopy(env)):
-        for name, value in one.observations().items():
-            np.testing.assert_array_equal(value, answered[name])
-        np.testing.assert_equal(one.get_state(), env.get_state())
-        np.testing.assert_equal(one.reset()[0], copy.deepcopy(env).reset()[0])
 
 
 def test_states_that_no_question_has_are_refused():
@@ -327,7 +310,7 @@ def test_relabelled_questions_tell_where_the_named_object_is(kept, augmented):
 def test_answers_are_random_in_training_and_its_best_in_evaluation():
     env = FirstFrameVectorEnv(200, "supervised/find_shape_uniform", image_size=(18, 24))
     made = classifier(env, network=NETWORK.model_copy(update={"patch": 6}))
-    policy = AgentPolicy(made, seed=0, device="cpu")
+    policy = AgentPolicy(made, seed=0)
     seen, _ = env.reset(seed=0)
     first = np.ones(200, np.bool_)
     policy.start(200)
@@ -386,7 +369,7 @@ def test_it_learns_the_side_that_the_words_name(seed):
     for _ in range(150):
         metrics = made.update(collector.collect())
     assert metrics["accuracy"] >= 0.9
-    policy = AgentPolicy(made, seed=0, device="cpu")
+    policy = AgentPolicy(made, seed=0)
     episodes = play(policy, Squares(100), episodes=300, seed=10_000)
     assert (episodes["length"] == 1).all()
     assert episodes["success"].mean() >= 0.95

@@ -93,6 +93,21 @@ def test_conditions_of_a_set_that_do_not_fit_are_left_out():
         sweeps.check([*words, "updates=many"])
 
 
+def test_a_condition_that_fits_nowhere_is_one_clear_line():
+    told = r"^experiment=demo_conditions condition=supervised: agent=supervised: there are no"
+    with pytest.raises(UserError, match=told) as error:
+        sweeps.check(["sweep=demo", "condition=supervised"])
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("root", ["~nouser/x", "x" * 300])
+def test_a_root_that_can_be_no_folder_is_one_clear_line(root):
+    words = [*TINY, "seed=0,1", f"run_root='{root}'"]
+    with pytest.raises(UserError, match=r"^run_root=.*: cannot be a folder: ") as error:
+        sweeps.check(words, run_folder.is_finished)
+    assert len(str(error.value).splitlines()) == 1
+
+
 def test_overrides_apply_to_all_jobs_of_a_sweep():
     jobs = expanded("sweep=tail", "condition=impala", "seed=7", "updates=9", "run_root=x")
     assert {(one["seed"], one["updates"], one["run_root"]) for one in jobs} == {("7", "9", "x")}
@@ -185,6 +200,15 @@ CHAIN = """- seeds: [3, 4]
     - {name: three, experiment: demo, overrides: [pretrained.run=two, updates=8]}
   overrides: [updates=9, "schedule.window=[1,2]"]
 """
+
+
+@pytest.mark.parametrize("text", ["updates: 3", "environment: {size: 3}"])
+def test_the_paper_has_no_table_of_an_experiment_without_an_environment(text, own, tmp_path):
+    (tmp_path / "configs" / "experiments").mkdir()
+    (tmp_path / "configs" / "experiments" / "bare.yaml").write_text(text)
+    own("- {experiments: bare, seeds: [0], conditions: paper}")
+    with pytest.raises(UserError, match="the paper has no table of experiment=bare"):
+        everything("sweep=mine")
 
 
 def test_stages_begin_with_the_run_of_the_same_seed(own):
@@ -354,6 +378,16 @@ def test_how_far_a_job_is_is_told_from_time_to_time(scripted, monkeypatch):
     assert "begins, in " in begins
     assert told == [f"1/1 demo x seed 9: update {n}/6  5 frames/s" for n in (1, 2)]
     assert "finished, " in finished
+
+
+def test_the_file_of_a_job_that_has_ended_is_not_read_again_and_again(scripted, monkeypatch):
+    read = []
+    outcome = job.Board.outcome
+    monkeypatch.setattr(
+        job.Board, "outcome", lambda self, one: read.append(one.number) or outcome(self, one)
+    )
+    assert scripted("7,9")[0] == 0
+    assert read.count(1) < read.count(2) / 2
 
 
 @pytest.fixture

@@ -12,10 +12,8 @@ from host_env import Host
 from tape import Tape
 
 from zipf import envs
-from zipf.agents import replay
 from zipf.agents.capture import CaptureFailed
 from zipf.agents.learner import Learner
-from zipf.agents.priorities import DeviceSampler
 from zipf.agents.unroll import changed
 from zipf.errors import UserError
 from zipf.experiments.building import checkpoint, factory, loading
@@ -396,26 +394,6 @@ def test_a_run_on_the_device_is_resumed_bit_for_bit(tmp_path):
     for part in ("agent", "source"):
         assert_equal(*(state[part] for state in states))
     assert metrics_of(whole.folder)["episode_length"].notna().all()
-
-
-def test_r2d2_learns_the_same_with_the_sampler_of_a_device(tmp_path, monkeypatch):
-    """A replay on a device draws there; where rounding does not tell them apart, this is the run
-    that draws on the host, resumed in between."""
-    chosen = [*DEVICE, *R2D2, "agent.storage=ram", "augmentation=random", "updates=8"]
-    host = loading.load([*chosen, f"run_root={tmp_path}/host"])
-    assert runner.train(host) == 0
-    there = {"device": torch.device("cpu")}
-    monkeypatch.setattr(
-        replay, "PrioritySampler", lambda slots, *each, **more: DeviceSampler(*each, **more | there)
-    )
-    for updates in (4, 8):
-        config = loading.load([*chosen, f"run_root={tmp_path}/device", f"updates={updates}"])
-        assert runner.train(config) == 0
-    states = [checkpoint.load(one.folder / "checkpoint.pt") for one in (host, config)]
-    leaves = [state["agent"]["replay"]["sampler"].pop("leaves") for state in states]
-    torch.testing.assert_close(*leaves)
-    for part in ("agent", "source"):
-        assert_equal(*(state[part] for state in states))
 
 
 def moves(chosen, plan, capsys):

@@ -28,7 +28,6 @@ from conftest import (
     contents,
     learned,
     metrics_of,
-    run,
     slow_but,
     untimed,
 )
@@ -602,13 +601,6 @@ def test_a_family_without_a_scripted_player_is_named(monkeypatch, capsys):
         evaluate.main()
     assert exited.value.code == 2
     assert "policy=generalist: gridworld/" in capsys.readouterr().err
-
-
-def test_a_mistake_shows_no_traceback(tmp_path):
-    result = run("experiment=gridwrld", folder=tmp_path)
-    assert result.returncode == 2
-    assert result.stderr.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_run_whose_checkpoint_is_gone_is_not_written_over(trained):

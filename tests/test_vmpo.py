@@ -14,7 +14,6 @@ from zipf.agents.agent import AgentSpec
 from zipf.agents.memory import LSTMOptions, MLPOptions
 from zipf.agents.network import Inputs
 from zipf.agents.vmpo import SMALLEST_DUAL, VMPO, VMPOOptions, is_top, vmpo_losses
-from zipf.experiments.options import config_files
 
 ACTIONS, STEPS, BATCH = 3, 5, 5
 OPTIONS = VMPOOptions(
@@ -334,42 +333,6 @@ def test_values_that_are_no_numbers_are_divergence():
     with pytest.raises(FloatingPointError):
         vmpo.update(unroll())
     assert_equal(dict(vmpo.network.policy.state_dict()), dict(before))
-
-
-@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-def test_state_dict_continues_bit_for_bit(precision):
-    """Saved within a period of the target network and continued past its end."""
-    one, other = agent(), agent()
-    one.precision = other.precision = precision
-    one.update(unroll(0))
-    other.load_state_dict(everything(one))
-    for seed in range(1, 5):
-        assert one.update(unroll(seed)) == other.update(unroll(seed))
-    assert_equal(everything(one), everything(other))
-
-
-def shipped():
-    return config_files.find("agent", "vmpo").values
-
-
-def test_the_papers_values():
-    """The paper's V-MPO table; its T_target of 0.5 is read as the top fraction."""
-    options = VMPOOptions.model_validate({k: _number(v) for k, v in shipped().items()})
-    assert options.discount == 0.995
-    assert options.dual_learning_rate == 3e-3
-    assert options.learning_rate == 3e-5
-    assert options.top_fraction == 0.5
-    assert options.epsilon_eta == 0.1
-    assert options.epsilon_alpha == 0.1
-    assert SMALLEST_DUAL == 1e-8  # Song et al. 2020
-
-
-def _number(value):
-    """PyYAML reads 3e-5 as text."""
-    try:
-        return float(value) if isinstance(value, str) else value
-    except ValueError:
-        return value
 
 
 @pytest.mark.slow

@@ -21,6 +21,6 @@ def after_learning(build, seed):
     collector = HostCollector(env, agent, unroll_length=8, seed=seed)
     for _ in range(250):
         agent.update(collector.collect())
-    policy = AgentPolicy(agent, seed=1, device="cpu")
+    policy = AgentPolicy(agent, seed=1)
     test = envs.make_vec("gridworld/uniform", 100, **ENVS)
     return play(policy, test, episodes=1000, seed=2)
