@@ -15,7 +15,14 @@ from rich.console import Console
 from rich.table import Table
 from turns import OwnRow
 
-from zipf.envs.render3d import FACES_DOWN, Renderer, Scenes, load_meshes, textures
+from zipf.envs.render3d import (
+    FACES_DOWN,
+    Renderer,
+    Scenes,
+    load_meshes,
+    pack_textures,
+    textures,
+)
 
 ENVS = 256
 CELLS = 21
@@ -58,8 +65,10 @@ def maze(*, pitched: bool, ceiling: bool, seed: int = 0) -> Scenes:
     scenes = Scenes(
         ENVS, walls=640, flats=2, tile_cells=CELLS * CELLS, grid=(CELLS, CELLS)
     )  # fmt: skip
-    walls = [textures.index(name) for name in ("brick", "wallpaper", "stripes_green", "plaster")]
-    floors = [textures.index(name) for name in ("planks", "tiles", "carpet", "hexagons")]
+    walls = [
+        textures.index(name) for name in ("plaster_green", "wallpaper", "stripes_green", "plaster")
+    ]
+    floors = [textures.index(name) for name in ("planks", "tiles", "carpet", "checker")]
     sides = (
         (0, 1, (1, 1, 1, 0)),
         (1, 0, (0, 1, 1, 1)),
@@ -76,7 +85,7 @@ def maze(*, pitched: bool, ceiling: bool, seed: int = 0) -> Scenes:
                 if 0 <= r < CELLS and 0 <= c < CELLS and not solid[r, c]:
                     ends = (column + x0, row + y0, column + x1, row + y1)
                     face = (row * CELLS + column) * 4 + side
-                    scenes.add_wall(i, ends, (0, 1), int(rng.choice(walls)), face=face)
+                    scenes.add_walls(i, ends, (0, 1), int(rng.choice(walls)), faces=face)
         tiles = rng.choice(floors, (CELLS, CELLS))
         scenes.add_flat(i, (0, 0, CELLS, CELLS), 0, 0, tiles=tiles)
         if ceiling:
@@ -98,9 +107,9 @@ def room(*, objects: int, pitched: bool, seed: int = 0) -> Scenes:
     scenes = Scenes(ENVS, walls=4, flats=2, instances=objects, shadows=objects)
     corners = ((0, 0), (4, 0), (4, 3), (0, 3))
     for i in range(ENVS):
-        for k, name in enumerate(("wallpaper", "plaster_blue", "stripes", "brick")):
+        for k, name in enumerate(("wallpaper", "plaster_blue", "stripes", "plaster_green")):
             ends = corners[k] + corners[(k + 1) % 4]
-            scenes.add_wall(i, ends, (0, 2.4), textures.index(name), repeat=(1, 1))
+            scenes.add_walls(i, ends, (0, 2.4), textures.index(name), repeat=1)
         rectangle = (0, 0, 4, 3)
         scenes.add_flat(i, rectangle, 0, textures.index("planks"), repeat=1)
         scenes.add_flat(i, rectangle, 2.4, textures.index("ceiling"), flags=FACES_DOWN)
@@ -165,7 +174,7 @@ def hills(*, pitched: bool, seed: int = 0) -> Scenes:
 
 def row(name: str, scenes: Scenes, size: tuple[int, int] = (96, 72)) -> OwnRow:
     width, height = size
-    renderer = Renderer(load_meshes(), textures.stack(), width=width, height=height)
+    renderer = Renderer(load_meshes(), pack_textures(textures.stack()), width=width, height=height)
     out = np.zeros((ENVS, height, width, 3), np.uint8)
 
     def run(calls: int) -> None:

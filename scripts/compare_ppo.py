@@ -72,7 +72,7 @@ def ours(env: ZipfVectorEnv, seed: int, values: dict[str, Any]) -> AgentPolicy:
     collector = HostCollector(env, learner, unroll_length=values["steps"], seed=seed)
     for _ in range(values["frames"] // (values["envs"] * values["steps"])):
         learner.update(collector.collect())
-    return AgentPolicy(learner, seed=seed, device="cpu")
+    return AgentPolicy(learner, seed=seed)
 
 
 class Predicting:

@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw
 
 from zipf.envs.playroom.constants import EYE
 from zipf.envs.playroom.view import FIELD_OF_VIEW
-from zipf.envs.render3d import Renderer, Scenes, load_meshes, textures
+from zipf.envs.render3d import Renderer, Scenes, load_meshes, pack_textures, textures
 
 GREYS = [(165, 165, 170), (120, 122, 130)]
 CLOSE = 132
@@ -39,7 +39,7 @@ def rooms(views: Sequence[tuple[int, float, float, float, float]]) -> Scenes:
     corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
     for i, (mesh, degrees, distance, eye, target) in enumerate(views):
         for (x0, y0), (x1, y1) in zip(corners, corners[1:] + corners[:1], strict=True):
-            scenes.add_wall(i, (x0, y0, x1, y1), (0, 3), textures.index("plaster"), repeat=(1, 1))
+            scenes.add_walls(i, (x0, y0, x1, y1), (0, 3), textures.index("plaster"), repeat=1)
         floor = textures.index("carpet")
         scenes.add_flat(i, (-half, -half, half, half), 0, floor, repeat=1)
         pitch = math.atan2(target - eye, distance)
@@ -64,9 +64,9 @@ def draw(renderer: Renderer, scenes: Scenes) -> np.ndarray:
 
 def sheet() -> Image.Image:
     atlas = load_meshes()
-    stack = textures.stack()
-    close = Renderer(atlas, stack, width=2 * CLOSE, height=2 * CLOSE, fov=18)
-    far = Renderer(atlas, stack, fov=FIELD_OF_VIEW)
+    packed = pack_textures(textures.stack())
+    close = Renderer(atlas, packed, width=2 * CLOSE, height=2 * CLOSE, fov=18)
+    far = Renderer(atlas, packed, fov=FIELD_OF_VIEW)
     closes, fars = [], []
     for mesh, extent in enumerate(atlas.extent):
         middle = float(extent[2]) / 2

@@ -9,6 +9,7 @@ chosen by nothing else. Long episodes are shown faster towards their end.
 
 import argparse
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,7 @@ class Episode:
         return len(self.pictures) - 1
 
 
+@cache  # of every frame
 def situations() -> list[tuple[dict[str, int], float]]:
     """The rare situations and how often they are drawn in training, the rarest first."""
     rare, trained_on = (distributions.by_name(name) for name in ("rare", TRAINED_ON))
@@ -72,7 +74,7 @@ def situations() -> list[tuple[dict[str, int], float]]:
 def play(run: str) -> list[Episode]:
     """An episode of an agent in each rare situation."""
     trained = load_agent(RUNS / run, "cpu")
-    policy = AgentPolicy(trained.agent, seed=0, device="cpu")
+    policy = AgentPolicy(trained.agent, seed=0)
     env = envs.make_vec(LEVEL, 1, autoreset_mode="Disabled", render_mode="rgb_array")
     episodes = []
     for ranks, _ in situations():
@@ -96,6 +98,7 @@ def picture(env: envs.ZipfVectorEnv) -> Image.Image:
     return Image.fromarray(drawn).resize((SIDE, SIDE), Image.Resampling.BOX)
 
 
+@cache
 def score(run: str, kind: str) -> float:
     """A score of the record."""
     table = pd.read_csv(ROOT / "results" / "scores.csv").set_index(["run", "level_kind"])

@@ -162,10 +162,6 @@ def main() -> None:
         runs: dict[str, list[Run]] = {}
         for run in load_runs([ROOT / "results" / task.experiment]):
             runs.setdefault(run.folder.parent.name, []).append(run)
-        missing = [name for name in task.agents if name not in runs]
-        if missing:
-            folder = f"results/{task.experiment}"
-            raise SystemExit(f"{folder} has no runs of {', '.join(missing)}")
         save(learning(task, runs), f"tail_{task.name}_learning.png")
         save(rarity(task, runs), f"tail_{task.name}_rarity.png")
 

@@ -32,9 +32,7 @@ def main() -> None:
     trained = load_agent(options.run, "cpu")
     env = envs.make_vec(options.level, options.episodes, **trained.config.level_options)
     assert isinstance(env, GridworldVectorEnv)
-    ends = first_episodes(
-        env, AgentPolicy(trained.agent, seed=options.seed, device="cpu"), options.seed
-    )
+    ends = first_episodes(env, AgentPolicy(trained.agent, seed=options.seed), options.seed)
     ends["share"] = 1 / len(ends)
     means = ends.groupby("end").agg(
         share=("share", "sum"),

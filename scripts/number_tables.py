@@ -222,7 +222,7 @@ def _row(folder: str) -> tuple[ScoreTable, Row]:
 def situations() -> list[str]:
     """Success in each of the gridworld's rare situations, by seed, of the marked agents."""
     agents = [agent for agent in TASKS["gridworld"].agents if agent.situations]
-    found = {agent: success_by_situation(*reversed(_row(str(agent.folder)))) for agent in agents}
+    found = {agent: success_by_situation(*reversed(_row(agent.folder))) for agent in agents}
     names = sorted({name for rates in found.values() for name in rates.columns})
     rows = [
         (

@@ -121,14 +121,12 @@ class Arena:
         self.env.close()
 
 
-def play(
-    policies: Sequence[str], arena: Arena, *, episodes: int = 2000, first: int = 0
-) -> list[Floor]:
-    """Measures policies on the episodes of the seeds from `first` on.
+def play(policies: Sequence[str], arena: Arena, *, episodes: int = 2000) -> list[Floor]:
+    """Measures policies on the episodes of the seeds from 0 on.
     Raises ValueError: a text is no policy of these envs, or fewer than two episodes."""
     if episodes < 2:
         raise ValueError(f"episodes must be at least 2, got {episodes}")
-    returns = arena.returns(policies, range(first, first + episodes))
+    returns = arena.returns(policies, range(episodes))
     return [_floor(text, of_policy) for text, of_policy in zip(policies, returns, strict=True)]
 
 

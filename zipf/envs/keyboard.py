@@ -51,7 +51,8 @@ class Keys:
             instruction says it.
 
     Raises:
-        ValueError: for a key that means two things.
+        ValueError: for a key that means two things, or a number of actions that is neither 1 nor
+            that of the combinations of toggles.
     """
 
     bindings: tuple[Binding, ...]
@@ -64,6 +65,15 @@ class Keys:
         twice = [key for key, times in Counter(named).items() if times > 1]
         if twice:
             raise ValueError(f"keys {twice} have more than one meaning")
+        count = 2 ** len(self.toggles)
+        taken = [(binding.label, binding.actions) for binding in self.bindings]
+        taken += [(toggle.label, toggle.actions) for toggle in self.toggles if toggle.actions]
+        for label, actions in taken:
+            if len(actions) not in (1, count):
+                raise ValueError(
+                    f"{label!r} has {len(actions)} actions: must be 1 or {count}, one for each "
+                    "combination of toggles"
+                )
 
     def press(self, key: str, toggled: int = 0) -> tuple[int | None, int]:
         """What a key does.

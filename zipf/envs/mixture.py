@@ -49,7 +49,6 @@ class Mixture(ZipfVectorEnv):
             or an integer >= 0 that seeds a shuffle.
         rank: with "resets", the name of the levels' rank; none that `ZipfVectorEnv` reserves.
         options: constructor options of all levels.
-        level_options: constructor options of single levels, by level name; they override `options`.
         levels_of_envs: with "worlds", the place in `levels` of each env's level, int64 [N], where
             the envs are not to be shared evenly.
 
@@ -58,11 +57,13 @@ class Mixture(ZipfVectorEnv):
         levels_of_envs: int64 [N], the place in `level_names` of each env's level.
         batches: the levels' batches, in the order of `level_names`. Each has N rows and keeps the
             envs that are on its level; those with the same engine share their arrays.
+        engines: int64 [levels], for each level the place in `batches` of the first one with its
+            engine, which has the state of all envs on it.
 
     Raises:
         ValueError: for no level, fewer envs than levels with "worlds", levels with different
             observations, actions or (with "worlds") situations or other numbers of envs than
-            asked for, a bad law or order, or options of an unknown level.
+            asked for, or a bad law or order.
     """
 
     def __init__(
@@ -75,7 +76,6 @@ class Mixture(ZipfVectorEnv):
         probabilities: ArrayLike | None = None,
         order: str | int = "forward",
         rank: str = "level",
-        level_options: Mapping[str, Mapping[str, Any]] | None = None,
         levels_of_envs: NDArray[np.int64] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         copy: bool = True,
@@ -87,12 +87,6 @@ class Mixture(ZipfVectorEnv):
         if not mapping("levels", levels):
             raise ValueError("a mixture needs at least one level, got none")
         num_envs = whole("num_envs", num_envs, 1)
-        level_options = mapping("level_options", level_options)
-        if unknown := level_options.keys() - levels.keys():
-            raise ValueError(
-                f"level_options of unknown levels {sorted(unknown)}: expected some of "
-                f"{', '.join(levels)}"
-            )
         self.draw = draw
         self.rank = rank_name("rank: the levels' rank", rank)
         count = len(levels)
@@ -108,16 +102,13 @@ class Mixture(ZipfVectorEnv):
             if levels_of_envs is None:
                 levels_of_envs = shared(self.level_names, num_envs)
             self.levels_of_envs = levels_of_envs
-        self.batches = [
-            levels[name](
-                num_envs,
-                autoreset_mode=autoreset_mode,
-                render_mode=render_mode,
-                **{**options, **mapping(f"level_options[{name!r}]", level_options.get(name))},
+        self.batches: list[ZipfVectorEnv] = []
+        keys: list[Any] = []  # equal for levels with one engine
+        limits: list[int | None] = []
+        for k, name in enumerate(self.level_names):
+            batch = levels[name](
+                num_envs, autoreset_mode=autoreset_mode, render_mode=render_mode, **options
             )
-            for name in self.level_names
-        ]
-        for name, batch in zip(self.level_names, self.batches, strict=True):
             # The envs of a smaller batch would be sought outside its arrays.
             if not isinstance(batch, ZipfVectorEnv):
                 raise ValueError(
@@ -129,6 +120,14 @@ class Mixture(ZipfVectorEnv):
                     f"level {name!r} must have the {num_envs} envs that it was asked for, got "
                     f"{batch.num_envs}"
                 )
+            key = batch._engine()
+            keys.append((type(batch), k if key is None else key))
+            limits.append(batch.time_limit)
+            first_on_engine = keys.index(keys[-1])
+            if first_on_engine < k:  # at once: only one batch at a time has arrays to throw away
+                batch._use_engine(self.batches[first_on_engine])
+            self.batches.append(batch)
+        self.engines = np.array([keys.index(key) for key in keys])
         self._require_alike("single_observation_space", "single_action_space")
         first = self.batches[0]
         situation: dict[str, int] = {}
@@ -144,8 +143,8 @@ class Mixture(ZipfVectorEnv):
         self.metadata = first.metadata
         self.reports_success = all(batch.reports_success for batch in self.batches)
         self.longest_episode = max(batch.longest_episode for batch in self.batches)
-        limits = [batch.time_limit for batch in self.batches if batch.time_limit is not None]
-        self.time_limit = max(limits) if len(limits) == len(self.batches) else None
+        known_limits = [limit for limit in limits if limit is not None]
+        self.time_limit = max(known_limits) if len(known_limits) == count else None
         self.achieves = all(batch.achieves for batch in self.batches)
         self.sliceable = all(batch.sliceable for batch in self.batches)
         regions = [batch.action_regions for batch in self.batches]
@@ -172,7 +171,6 @@ class Mixture(ZipfVectorEnv):
         }
         if draw == "resets":
             self.probabilities = zipfian(count, exponent) if exponent is not None else probabilities
-        self._engine_of = _engines(self.batches)
         # [levels, N]: envs by level, once they have begun; envs by engine, in the row of its
         # first level; envs that begin now, by level.
         self._begun = np.zeros((count, num_envs), np.bool_)
@@ -182,7 +180,7 @@ class Mixture(ZipfVectorEnv):
         self._locate(self._seeded)
         self._resizable = frozenset(
             f"{self.level_names[k]}:{key}"
-            for k in set(self._engine_of.tolist())
+            for k in set(self.engines.tolist())
             for key in self.batches[k]._resizable
         )
         described = [batch._describe() for batch in self.batches]
@@ -192,12 +190,6 @@ class Mixture(ZipfVectorEnv):
                 f"the levels have an entry {rank!r} or '{rank}_name' in info themselves: choose "
                 "another name"
             )
-
-    @property
-    def engines(self) -> NDArray[np.int64]:
-        """For each level the place in `batches` of the first one with its engine, int64 [levels].
-        That batch has the state of all envs on the engine."""
-        return self._engine_of
 
     @property
     def probabilities(self) -> NDArray[np.float64]:
@@ -287,8 +279,8 @@ class Mixture(ZipfVectorEnv):
         `set_state`.
         """
         for k, batch in enumerate(self.batches):
-            if self._engine_of[k] != k:
-                batch._use_engine(self.batches[self._engine_of[k]])
+            if self.engines[k] != k:
+                batch._use_engine(self.batches[self.engines[k]])
             for name in SHARED:
                 setattr(batch, name, getattr(self, name))
             batch._seeded = self._begun[k]
@@ -299,7 +291,7 @@ class Mixture(ZipfVectorEnv):
         """Sets the masks by level and by engine, for levels that were not drawn by `_begin`."""
         places = np.arange(len(self.batches))[:, None]
         self._begun[:] = (self.levels_of_envs == places) & seeded
-        self._on_engine[:] = self._engine_of[self.levels_of_envs] == places
+        self._on_engine[:] = self.engines[self.levels_of_envs] == places
         self._engines_now = np.flatnonzero(self._on_engine.any(1)).tolist()
 
     def _parts(self, mask: NDArray[np.bool_]) -> Iterator[tuple[ZipfVectorEnv, NDArray[np.bool_]]]:
@@ -334,7 +326,7 @@ class Mixture(ZipfVectorEnv):
             forced[0] if draw else self.levels_of_envs,
             cumulative,
             self._streams,
-            self._engine_of,
+            self.engines,
             self.levels_of_envs,
             self._begun,
             self._on_engine,
@@ -410,7 +402,7 @@ class Mixture(ZipfVectorEnv):
 
     def _get_env_states(self) -> dict[str, NDArray[Any]]:
         state = {"levels": self.levels_of_envs} if self.draw == "resets" else {}
-        for k in sorted(set(self._engine_of.tolist())):
+        for k in sorted(set(self.engines.tolist())):
             envs = self.batches[k]._get_env_states()
             state |= {f"{self.level_names[k]}:{key}": value for key, value in envs.items()}
         return state
@@ -436,7 +428,7 @@ class Mixture(ZipfVectorEnv):
             # To a level's batch, envs that are on other levels have not begun yet.
             here = self.levels_of_envs == k
             common = {key: state[key] * here for key in ("seeded", "running", "lengths", "returns")}
-            name = self.level_names[self._engine_of[k]]
+            name = self.level_names[self.engines[k]]
             own = {key: state[f"{name}:{key}"] for key in batch._get_env_states()}
             batch._set_env_states({"streams": state["streams"], **common, **own})
 
@@ -469,16 +461,6 @@ def _begin_levels(
             begin[new] = True
         in_use[engine_of[levels[i]]] = True
     return begin, in_use
-
-
-def _engines(batches: Sequence[ZipfVectorEnv]) -> NDArray[np.int64]:
-    """For each level the place of the batch that steps its envs: the first with its engine."""
-    keys = [batch._engine() for batch in batches]
-    engines = [
-        (type(batch), k if key is None else key)
-        for k, (batch, key) in enumerate(zip(batches, keys, strict=True))
-    ]
-    return np.array([engines.index(engine) for engine in engines])
 
 
 def shared(names: Sequence[str], num_envs: int) -> NDArray[np.int64]:

@@ -6,6 +6,8 @@ A string in the place of a function, so that specs of Gymnasium can be written a
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from zipf.envs.arguments import whole
 from zipf.envs.family import Family, families
 from zipf.envs.vector import ZipfVectorEnv
@@ -31,6 +33,6 @@ def _make_vec(
             )
         known = family.options_class.model_fields["max_steps"]
         own = kwargs.get("max_steps", known.get_default(call_default_factory=True))
-        shorter = own is None or (isinstance(own, int) and steps < own)
+        shorter = own is None or (isinstance(own, int | np.integer) and steps < own)
         kwargs["max_steps"] = steps if shorter else own
     return family.load_make_vec()(num_envs=num_envs, **kwargs)

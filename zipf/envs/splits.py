@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import copyreg
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -15,17 +13,6 @@ from numpy.typing import ArrayLike
 
 from zipf.envs.arguments import mapping, whole
 from zipf.protocol import KINDS, PAPER_KINDS
-
-
-def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
-    return MappingProxyType(values)
-
-
-def _reduced(values: MappingProxyType[Any, Any]) -> tuple[Any, ...]:
-    return _read_only, (dict(values),)
-
-
-copyreg.pickle(MappingProxyType, _reduced)  # so that splits can be pickled
 
 Level = str | Callable[..., Any]
 """A level's full name (`"gridworld/rare"`), or a function that makes a batch of its envs,
@@ -73,7 +60,7 @@ class SplitLevel:
 
     level: Level
     weight: float = 1.0
-    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}), hash=False)
+    options: Mapping[str, Any] = field(default_factory=dict, hash=False)
     normalisation: Normalisation | None = None
 
     def __post_init__(self) -> None:
@@ -144,7 +131,7 @@ class Split:
     rare: Any = ()
     draw: Literal["worlds", "resets"] = "worlds"
     episodes: Mapping[str, int] = field(
-        default_factory=lambda: MappingProxyType(dict.fromkeys(PAPER_KINDS, 1000)),  # the paper's
+        default_factory=lambda: dict.fromkeys(PAPER_KINDS, 1000),  # the paper's
         hash=False,
     )
     spread: Literal["seeds", "tasks"] = "seeds"

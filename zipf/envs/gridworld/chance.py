@@ -1,6 +1,5 @@
 """How well uniformly random actions do, exactly."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -17,18 +16,6 @@ from zipf.envs.gridworld.maps import MOVES, Maps
 SURVIVAL = 1e-20  # ours: less of an episode is left than a sum of probabilities can show
 
 
-@dataclass(frozen=True)
-class RandomPolicy:
-    """What uniformly random actions lead to, for each map."""
-
-    # float64 [maps, objects], the probability that an episode ends at that object, which is the
-    # probability of success where it is the target
-    success: NDArray[np.float64]
-    # float64 [maps], the probability that the step limit ends the episode
-    timeout: NDArray[np.float64]
-    length: NDArray[np.float64]  # float64 [maps], the mean number of steps of an episode
-
-
 def chance(level: str, **options: Any) -> BaselineScore:
     """The score of uniformly random actions on a level with these options of `GridworldOptions`,
     exact, also by map and by target.
@@ -41,7 +28,7 @@ def chance(level: str, **options: Any) -> BaselineScore:
 
 @lru_cache(maxsize=16)
 def _chance(level: str, maps: Maps, max_steps: int) -> BaselineScore:
-    return mean_success(level, random_policy(maps, max_steps).success)
+    return mean_success(level, success_of_random_actions(maps, max_steps))
 
 
 def mean_success(level: str, success: NDArray) -> BaselineScore:
@@ -54,13 +41,16 @@ def mean_success(level: str, success: NDArray) -> BaselineScore:
     return BaselineScore(float(distribution(num_maps) @ by_map), by_rank=by_rank)
 
 
-def random_policy(maps: Maps, max_steps: int = 100) -> RandomPolicy:
-    """Follows the distribution over the cells of each map, which random actions make a Markov
-    chain that objects absorb, up to the step limit."""
+def success_of_random_actions(maps: Maps, max_steps: int) -> NDArray[np.float64]:
+    """The probability that an episode of uniformly random actions ends at each object, which is
+    that of success where it is the target, float64 [maps, objects].
+
+    Follows the distribution over the cells of each map, which random actions make a Markov chain
+    that objects absorb, up to the step limit.
+    """
     num_maps, height, width = maps.boards.shape
     leads_to = destinations(maps)
     success = np.zeros((num_maps, maps.num_objects))
-    timeout, length = np.zeros(num_maps), np.zeros(num_maps)
     for i in range(num_maps):
         cells = maps.cells[i, :, 0] * width + maps.cells[i, :, 1]
         at = np.zeros(height * width)
@@ -68,14 +58,12 @@ def random_policy(maps: Maps, max_steps: int = 100) -> RandomPolicy:
         for _ in range(max_steps):
             if at.sum() < SURVIVAL:
                 break
-            length[i] += at.sum()
             at = np.bincount(
                 leads_to[i].ravel(), np.repeat(at / len(MOVES), len(MOVES)), height * width
             )
             success[i] += at[cells[:-1]]
             at[cells[:-1]] = 0.0
-        timeout[i] = at.sum()
-    return RandomPolicy(success, timeout, length)
+    return success
 
 
 def destinations(maps: Maps) -> NDArray[np.int64]:

@@ -30,7 +30,8 @@ class Generalist(Remembering):
     episode, but not the top left one, which the cue covers. Once it has seen the cued object, and a
     way there through floor that it has seen, it goes the shortest such way. Until then it moves to
     whichever neighbouring floor cell it has been to least often in this episode, and touches no
-    object.
+    object. Between cells alike it chooses by a hash of the env's random stream, which is left as it
+    is, and of the step: the same in a batch of any size.
 
     It may be asked in envs in which another policy acts. It then remembers what was in view, and
     where the agent stood, at every step at which it was asked. Where it was not asked from the
@@ -40,18 +41,15 @@ class Generalist(Remembering):
 
     Args:
         env: the batch.
-        seed: between cells alike, it chooses by a hash of this, of the env's random stream and
-            of the step: the same in a batch of any size. The stream is left as it is.
         memory: False: it knows what is in view now and nothing else, and moves to a random
             neighbouring cell until it sees a way to the cued object.
     """
 
     remembered = ("_known", "_visits", "_episodes", "_streams", "_lengths")
 
-    def __init__(self, env: GridworldVectorEnv, *, seed: int = 0, memory: bool = True) -> None:
+    def __init__(self, env: GridworldVectorEnv, *, memory: bool = True) -> None:
         require_gridworld(env, "generalist")
         self._env = env
-        self._seed = np.uint64(seed)
         self._memory = memory
         shape = (env.num_envs, *env.level.maps.codes.shape[1:])
         # By cell of the board with its margin, as in `Maps.codes`.
@@ -74,7 +72,7 @@ class Generalist(Remembering):
         goals = maps.cells[envs[:, MAP], envs[:, TARGET]] + PAD
         cues = maps.codes[envs[:, MAP], goals[:, 0], goals[:, 1]]
         places = envs[:, ROW : COLUMN + 1] + PAD
-        ties = _hashes(env._streams, env._lengths, self._seed)
+        ties = _hashes(env._streams, env._lengths)
         _choose(places, cues, self._known, self._visits, ties, actions)
         return actions
 
@@ -114,11 +112,11 @@ def _look(memory, envs, streams, lengths, codes, episodes, last, asked, known, v
 
 
 @compiled()
-def _hashes(streams, lengths, seed):
+def _hashes(streams, lengths):
     """A pseudo-random number for each env and step, uint64 [N]."""
     found = np.empty(len(lengths), np.uint64)
     for i in range(len(lengths)):
-        value = streams[i, 0] ^ seed
+        value = streams[i, 0]
         for word in (streams[i, 1], np.uint64(lengths[i])):
             value = (value ^ word) + _GOLDEN
             value = (value ^ (value >> _SHIFT_1)) * _MIX_1

@@ -59,11 +59,6 @@ class Maps:
         """`codes` without the padding: uint8 [maps, rows, columns]."""
         return self.codes[:, PAD:-PAD, PAD:-PAD]
 
-    def look(self, map: int, target: int) -> tuple[str, str]:
-        """The colour and shape of an object."""
-        row, column = self.cells[map, target]
-        return sprites.look(int(self.boards[map, row, column]))
-
 
 def _check_sizes(
     num_maps: int, num_rooms: tuple[int, int], room_size: tuple[int, int], num_objects: int

@@ -70,12 +70,6 @@ def code(colour: str, shape: str) -> int:
     return FIRST_LOOK + _COLOUR_NAMES.index(colour) * len(SHAPES) + _SHAPE_NAMES.index(shape)
 
 
-def look(code: int) -> tuple[str, str]:
-    """The colour and shape of an object's cell code."""
-    colour, shape = divmod(code - FIRST_LOOK, len(SHAPES))
-    return _COLOUR_NAMES[colour], _SHAPE_NAMES[shape]
-
-
 def _sprites() -> NDArray[np.uint8]:
     drawn = np.zeros((2, NUM_CODES, CELL, CELL, 3), dtype=np.uint8)
     drawn[0, WALL] = 40

@@ -76,9 +76,14 @@ def make_vec(
     if drawn is None:
         return LabyrinthVectorEnv(num_envs, level, **options)
     order, probabilities = drawn
-    tasks = {f"labyrinth/{name}": partial(LabyrinthVectorEnv, level=name) for name in LEVELS}
+    # A mixture has arguments, such as `exponent`, that are no options of the tasks.
+    common = ("autoreset_mode", "copy", "render_mode")
+    of_mixture = {name: options.pop(name) for name in common if name in options}
+    tasks = {
+        f"labyrinth/{name}": partial(LabyrinthVectorEnv, level=name, **options) for name in LEVELS
+    }
     return Mixture(
-        tasks, num_envs, draw="resets", probabilities=probabilities, order=order, **options
+        tasks, num_envs, draw="resets", probabilities=probabilities, order=order, **of_mixture
     )
 
 

@@ -88,19 +88,19 @@ class Knowledge:
         pitches: Sequence[float] = (0.0,),
     ) -> int:
         """The action that looks around: a full turn at each pitch, radians, then another at the
-        next of the spots, again and again. `walk` is the action that leads to a spot; None: in a
-        straight line."""
+        next of the spots, again and again. `walk` is the action that leads to a spot; None: there
+        are no spots."""
         memory, i = self._memory, self._i
         if memory.turned[i] >= 2 * math.pi:
             memory.turned[i] = 0.0
             memory.turns[i] += 1
-            memory.walks[i] = bool(spots) and memory.turns[i] % len(pitches) == 0
-        if memory.walks[i]:
+            memory.walks[i] = walk is not None and memory.turns[i] % len(pitches) == 0
+        if walk is not None and memory.walks[i]:
             spot = spots[(memory.turns[i] // len(pitches) - 1) % len(spots)]
             x, y, *_ = self._env.player
             if math.dist(spot, (x, y)) > _THERE and memory.still[i] < 8:
                 memory.turned[i] = 0.0
-                return walk_to(self._env, *spot) if walk is None else walk(spot)
+                return walk(spot)
             memory.walks[i] = False
         upright = self._towards(pitches[memory.turns[i] % len(pitches)])
         return NAMES["look right"] if upright is None else upright

@@ -27,7 +27,6 @@ class Screen:
         self._envs = envs
         self._number = number
         self._image = scenery.scenes.screen[number]
-        self._widgets = 0
         self.clear()
 
     def clear(self) -> None:

@@ -158,7 +158,7 @@ def _floors(scenery: Scenery, world: int) -> NDArray[np.int64]:
 
 
 def _draw_terrain(page: _Page, envs: Envs, scenery: Scenery, world: int) -> None:
-    texture = int(scenery.scenes.terrain_looks[world, 0, 0])
+    texture = int(scenery.scenes.terrain_texture[world])
     colour = _mixed(texture, scenery.scenes.terrain_tint[world])
     heights = np.ascontiguousarray(envs.heights[world])
     size = float(envs.quad[world])
@@ -198,13 +198,13 @@ def _draw_floors(page: _Page, envs: Envs, scenery: Scenery, world: int) -> None:
     for k, height in zip(floors.tolist(), z.tolist(), strict=True):
         light = 0.4 + 0.6 * (height - z.min()) / (z.max() - z.min()) if np.ptp(z) > 0 else 1.0
         x0, y0, x1, y1 = (scenes.flats[world, k, :4] / METRES).tolist()
-        first, rows, columns = scenes.flat_tiles[world, k].tolist()
+        rows, columns = scenes.flat_tiles[world, k].tolist()
         tint = scenes.flat_tint[world, k]
         if rows == 0:
             colour = light * _mixed(int(scenes.flat_looks[world, k, 0]), tint)
             page.rectangle((x0, y0), (x1, y1), _colour(colour))
             continue
-        textures = scenes.tiles[world, first : first + rows * columns].reshape(rows, columns)
+        textures = scenes.tiles[world, : rows * columns].reshape(rows, columns)
         for row, column in np.argwhere(textures >= 0).tolist():
             corner = x0 + column * CELL, y0 + row * CELL
             colour = light * _mixed(int(textures[row, column]) & TILE_TEXTURE, tint)

@@ -150,13 +150,11 @@ class World:
         envs.cells[i] = rows, columns
         envs.solid[i, :rows, :columns] = ~there
         envs.floor[i, :rows, :columns] = heights
-        scenes = scenery.scenes
-        scenes.tiles[i] = -1
         for row, column in np.argwhere(there).tolist():
             height = float(heights[row, column])
             x, y = column * CELL, row * CELL
             square = np.array([x, y, x + CELL, y + CELL]) * METRES
-            scenes.add_flat(
+            scenery.scenes.add_flat(
                 i, square, height * METRES, textures[round(height / unit)], flags=TWO_SIDED
             )
             sides = []
@@ -201,7 +199,6 @@ class World:
         texture: str,
         *,
         tint: materials.Colour = materials.WHITE,
-        repeat: float = CELL,
         open_sides: str = "",
     ) -> None:
         """Adds the walls of a rectangular room between two corners, but for its open sides, of
@@ -216,7 +213,7 @@ class World:
         ):
             if side not in open_sides:
                 start, stop = ends
-                self.add_block((*start, 0.0), (*stop, height), texture, tint=tint, repeat=repeat)
+                self.add_block((*start, 0.0), (*stop, height), texture, tint=tint)
 
     def add_ring(
         self, apothem: float, sides: int, height: float, texture: str, *, tint: materials.Colour

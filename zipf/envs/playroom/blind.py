@@ -17,13 +17,13 @@ _OF_OBJECTS = ("ranks", "objects", "orientation", "status", "still", "lifted")
 class BlindExpert:
     """Solves the episodes of `env` as if another instruction had been given: any toy of the room as
     the target, and any task of the level. Where that did not end the episode, it goes on with
-    another toy or task, until all have been tried, in an order drawn from the seed. It is to be
+    another toy or task, until all have been tried, in a random order. It is to be
     asked at every step from the first of an episode on. Raises ValueError: as for `Expert`."""
 
-    def __init__(self, env: PlayroomVectorEnv, seed: int = 0) -> None:
+    def __init__(self, env: PlayroomVectorEnv) -> None:
         require_playable(env, "blind expert")
         self.env = env
-        self.generator = np.random.default_rng(seed)
+        self.generator = np.random.default_rng(0)
         n, count = env.envs.ranks.shape
         tasks = env.level.tasks or (0,)
         # Every guess: a toy and a task. `guesses` has their order in each env.
@@ -34,7 +34,7 @@ class BlindExpert:
         self.order = np.tile(np.arange(count), (n, 1))  # of the objects, the believed target first
         self.tasks = env.envs.task.copy()
         believed: Any = SimpleNamespace(
-            num_envs=n, envs=self._envs(), rooms=[None] * n, lengths=env.lengths,
+            num_envs=n, envs=self._envs(), rooms=[None] * n, _lengths=env._lengths,
             single_action_space=env.single_action_space,
         )  # fmt: skip
         self.believed = believed
@@ -43,14 +43,14 @@ class BlindExpert:
     def __call__(self) -> NDArray[np.int64]:
         """The next action of every env, int64 [N]."""
         env = self.env
-        for i in np.flatnonzero(env.lengths == 0).tolist():
+        for i in np.flatnonzero(env._lengths == 0).tolist():
             self.guesses[i] = self.generator.permutation(len(self.all))
             self._guess(i, 0)
         self.held |= env.envs.hands == self.order[:, 0]
         for i in np.flatnonzero(self._has_failed()).tolist():
             self._guess(i, (int(self.number[i]) + 1) % len(self.all))
         self.believed.envs = self.expert.envs = self._envs()
-        self.believed.lengths = env.lengths
+        self.believed._lengths = env._lengths
         for i, room in enumerate(env.rooms):
             assert room is not None
             objects = [room.objects[j] for j in self.order[i]]

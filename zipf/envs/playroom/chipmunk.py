@@ -57,7 +57,8 @@ def _call(builder: Any, function: Any, of: Any, *numbers: Any, returns: Any = _N
 
 
 @_intrinsic
-def _step(typingctx: Any, function: Any, space: Any, seconds: Any) -> Any:
+def _tell(typingctx: Any, function: Any, of: Any, number: Any) -> Any:
+    """Steps a space by so many seconds, or sets the spin of a body."""
     return written([types.int64, types.int64, types.float64], _call)
 
 
@@ -65,11 +66,6 @@ def _step(typingctx: Any, function: Any, space: Any, seconds: Any) -> Any:
 def _set(typingctx: Any, function: Any, body: Any, x: Any, y: Any) -> Any:
     """Sets a vector of a body: its force, position or velocity."""
     return written([types.int64, types.int64, types.float64, types.float64], _call)
-
-
-@_intrinsic
-def _set_spin(typingctx: Any, function: Any, body: Any, speed: Any) -> Any:
-    return written([types.int64, types.int64, types.float64], _call)
 
 
 @_intrinsic
@@ -110,7 +106,7 @@ def simulate(mask, called, spaces, bodies, forces, agents, objects):
         for _ in range(FRAMES):
             if x != 0 or y != 0:
                 _set(called[_SET_FORCE], bodies[i, 0], x, y)  # cleared by the step
-            _step(called[_STEP], spaces[i], FRAME)
+            _tell(called[_STEP], spaces[i], FRAME)
         agents[i, AX], agents[i, AY] = _get(called[_POSITION], bodies[i, 0])
         for j in range(objects.shape[1]):
             body = bodies[i, j + 1]
@@ -136,7 +132,7 @@ def move_held(mask, called, bodies, hands, turned, drives, agents, objects):
             vx, vy = _get(called[_VELOCITY], agent)
             _set(called[_MOVE], body, objects[i, held, X], objects[i, held, Y])
             _set(called[_SET_VELOCITY], body, vx + drives[i, 0], vy + drives[i, 1])
-            _set_spin(called[_SET_SPIN], body, 0.0)
+            _tell(called[_SET_SPIN], body, 0.0)
 
 
 @compiled(references=False)

@@ -170,7 +170,7 @@ class Expert:
         # It faces the support on its way: a held object would keep it away from walls.
         agent = self.envs.agents[i]
         aside = _aside(agent, math.atan2(spot.pose[1] - agent[AY], spot.pose[0] - agent[AX]))
-        if abs(aside) > _TURN and self.env.lengths[i] % 2:
+        if abs(aside) > _TURN and self.env._lengths[i] % 2:
             return actions.GRAB + (actions.TURN_RIGHT if aside < 0 else actions.TURN_LEFT)
         goals = _beside(spot.pose, spot.size, spot.inset, spot.closest)
         return actions.GRAB + self.go(i, goals)
@@ -228,7 +228,7 @@ class Expert:
         assert room is not None
         vx, vy = room.agent.velocity
         if math.isnan(heading):  # there is no way: move, so that something changes
-            return actions.BACKWARD if self.env.lengths[i] // 8 % 2 else actions.TURN_LEFT
+            return actions.BACKWARD if self.env._lengths[i] // 8 % 2 else actions.TURN_LEFT
         # The change of velocity that is wanted, in the agent's own directions.
         dx = _SPEED * math.cos(heading) - _DECAY * vx
         dy = _SPEED * math.sin(heading) - _DECAY * vy

@@ -85,7 +85,7 @@ class Generalist(Remembering):
         self._lengths = np.full(n, -1, np.int64)
         self._yaw = np.zeros(n)
         believed: Any = SimpleNamespace(
-            num_envs=n, envs=envs, rooms=env.rooms, lengths=env.lengths,
+            num_envs=n, envs=envs, rooms=env.rooms, _lengths=env._lengths,
             single_action_space=env.single_action_space,
         )  # fmt: skip
         self._believed = believed
@@ -97,12 +97,12 @@ class Generalist(Remembering):
         moved = self._follow()
         envs = self._look()
         self._expert.envs = envs
-        self._believed.rooms, self._believed.lengths = env.rooms, env.lengths
+        self._believed.rooms, self._believed._lengths = env.rooms, env._lengths
         return np.array([self._act(envs, i, bool(moved[i])) for i in range(env.num_envs)])
 
     def _follow(self) -> NDArray[np.bool_]:
         """Forgets the episodes before; returns which envs have moved since the last call, [N]."""
-        envs, lengths = self.env.envs, self.env.lengths
+        envs, lengths = self.env.envs, self.env._lengths
         same = (lengths > 0) & (lengths >= self._lengths)
         same &= (envs.scenery == self._scenery).all(1) & (envs.ranks == self._ranks).all(1)
         moved = same & (lengths != self._lengths)

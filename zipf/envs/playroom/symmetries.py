@@ -4,7 +4,6 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.compiled import compiled
 from zipf.envs.playroom.actions import CONTROL_TABLE, CONTROLS
 
 _SIDEWAYS = ("strafe", "turn", "spin_right", "spin_forward")
@@ -23,22 +22,10 @@ class Symmetries:
         self, observation: dict[str, NDArray], which: NDArray[np.int64], mask: NDArray[np.bool_]
     ) -> None:
         """Changes the observations `{name: [N, ...]}`, in place, where `mask` [N]."""
-        _mirror(observation["image"], mask & (which == 1))
-
-
-@compiled()
-def _mirror(images, mask):
-    """Mirrors images [N, H, W, C] where `mask` [N], in place."""
-    _, height, width, channels = images.shape
-    for i in range(len(images)):
-        if mask[i]:
-            for row in range(height):
-                for left in range(width // 2):
-                    right = width - 1 - left
-                    for k in range(channels):
-                        kept = images[i, row, left, k]
-                        images[i, row, left, k] = images[i, row, right, k]
-                        images[i, row, right, k] = kept
+        image = observation["image"]
+        pixels = image.view(f"V{image.shape[-1]}")[..., 0]  # the bytes of a pixel as one element
+        rows = np.flatnonzero(mask & (which == 1))
+        pixels[rows] = pixels[rows, :, ::-1]
 
 
 def _mirrored_actions() -> NDArray[np.int64]:

@@ -91,11 +91,6 @@ class PlayroomVectorEnv(ZipfVectorEnv):
         )
         self._commands = make_commands(n, count)
 
-    @property
-    def lengths(self) -> NDArray[np.int64]:
-        """Steps of the episodes now running, int64 [N]."""
-        return self._lengths
-
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One frame of each env, uint8 [288, 384, 3], with `render_mode="rgb_array"`."""
         if self.render_mode is None:

@@ -149,7 +149,7 @@ def _build_room(scenes: Scenes, i: int) -> None:
     corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
     sides = [(*one, *two) for one, two in zip(corners, corners[1:] + corners[:1], strict=True)]
     for ends, paper in zip(sides, varied_looks.WALLS, strict=True):
-        scenes.add_walls(i, ends, (SKIRTING, CEILING), textures.index(paper), repeat=(1.0, 1.0))
+        scenes.add_walls(i, ends, (SKIRTING, CEILING), textures.index(paper), repeat=1.0)
     for ends in sides:
         scenes.add_walls(i, ends, (0.0, SKIRTING), textures.index("skirting"), flags=GROUNDED)
     near = half - HANGING

@@ -49,7 +49,7 @@ class Terrains(NamedTuple):
 
     heights: Any
     place: Any
-    looks: Any
+    texture: Any
     tint: Any
 
 

@@ -125,7 +125,7 @@ def screen_block(
 
 def _flat(patchwork: bool) -> Callable[..., Any]:
     def write(builder, colour, depth, texels, x, last, z, u, du, v, dv, each, red, green,
-              blue, solid, sides, c, dc, wide, r, dr, high, tiles, columns, rows):  # fmt: skip
+              blue, sides, c, dc, wide, r, dr, high, tiles, columns, rows):  # fmt: skip
         code = Code(builder)
         splat = code.splat
         column = code.columns(x)
@@ -147,7 +147,6 @@ def _flat(patchwork: bool) -> Callable[..., Any]:
                 start = (tile & TILE_TEXTURE) << TEXTURE
                 at_c, at_r = at_c - ic.floats_(), at_r - ir_.floats_()
             texel = code.sample(texels, splat(each), iu, iv, start)
-            mask = mask & ((texel | splat(solid)) < 0)
             light = at_c.like(1.0)
             plain = builder.block
             with builder.if_then((walled >= EAST).any()):
@@ -174,13 +173,13 @@ def _flat(patchwork: bool) -> Callable[..., Any]:
     return write
 
 
-_FLAT = [ADDRESS] * 3 + [I32] * 2 + [F32] * 9 + [I32] * 2 + [F32] * 6
+_FLAT = [ADDRESS] * 3 + [I32] * 2 + [F32] * 9 + [I32] + [F32] * 6
 
 
 @intrinsic
 def flat_block(
-    typingctx, colour, depth, texels, x, last, z, u, du, v, dv, each, red, green, blue,
-    solid, sides, c, dc, wide, r, dr, high,
+    typingctx, colour, depth, texels, x, last, z, u, du, v, dv, each, red, green, blue, sides, c,
+    dc, wide, r, dr, high,
 ):  # fmt: skip
     """Draws the pixels x .. min(x + 15, last) of a flat.
 
@@ -194,8 +193,8 @@ def flat_block(
 
 @intrinsic
 def patchwork_block(
-    typingctx, colour, depth, texels, x, last, z, u, du, v, dv, each, red, green, blue,
-    solid, sides, c, dc, wide, r, dr, high, tiles, columns, rows,
+    typingctx, colour, depth, texels, x, last, z, u, du, v, dv, each, red, green, blue, sides, c,
+    dc, wide, r, dr, high, tiles, columns, rows,
 ):  # fmt: skip
     """Like `flat_block`, with texture and sides from `tiles` [rows, columns], at the column c and
     the row r; `wide` and `high` are a tile's, and `sides` is ignored."""
@@ -386,18 +385,17 @@ def cell_block(typingctx, south, north, line, kinds, right, bottom, near, side):
 
 @intrinsic
 def terrain_block(
-    typingctx, colour, depth, texels, x, light, area, looks, u, u_ray, du_ray, v, v_ray, dv_ray,
-    fade, red, green, blue,
+    typingctx, colour, depth, texels, x, light, area, u, u_ray, du_ray, v, v_ray, dv_ray, fade,
+    red, green, blue,
 ):  # fmt: skip
     """Paints the pixels x .. x + 15 of a terrain, which hold the numbers of triangles.
 
     At a depth of t, texel coordinates are u + (u_ray + du_ray * x) * t. `light` and `area` are by
-    triangle, where a pixel covers area * t**3 texels; `looks` are textures by cell, that is by
-    every two triangles.
+    triangle, where a pixel covers area * t**3 texels.
     """
 
-    def write(builder, colour, depth, texels, x, light, area, looks, u, u_ray, du_ray, v, v_ray,
-              dv_ray, fade, red, green, blue):  # fmt: skip
+    def write(builder, colour, depth, texels, x, light, area, u, u_ray, du_ray, v, v_ray, dv_ray,
+              fade, red, green, blue):  # fmt: skip
         code = Code(builder)
         splat = code.splat
         place = code.columns(x).floats_()
@@ -412,12 +410,11 @@ def terrain_block(
             )
             lit = code.look_up(light, triangle, INT).as_floats() * dim
             each = code.look_up(area, triangle, INT).as_floats() * (t * t * t)
-            look = code.look_up(looks, triangle >> 1, ir.IntType(16)).most(0)
-            texel = code.sample(texels, each, iu, iv, look << TEXTURE)
+            texel = code.sample(texels, each, iu, iv)
             paint = code.shade(texel, [lit * splat(c) for c in (red, green, blue)])
             code.store(mask.choose(paint, number), colour)
 
-    return written([ADDRESS] * 3 + [I32] + [ADDRESS] * 3 + [F32] * 10, write)
+    return written([ADDRESS] * 3 + [I32] + [ADDRESS] * 2 + [F32] * 10, write)
 
 
 @intrinsic

@@ -91,14 +91,12 @@ def draw(mask, scene_fields, asset_fields, lens_fields, buffer_fields, out):
         )  # fmt: skip
         _draw_sky(scenes.sky[i], pitch, lens.tilts, image)
         if terrains.place[i, 2] > 0.0:
-            for row in range(terrains.looks.shape[1]):
-                for column in range(terrains.looks.shape[2]):
-                    if terrains.looks[i, row, column] >= len(texels):
-                        return i
+            if not 0 <= terrains.texture[i] < len(texels):
+                return i
             # First of all, because it uses the colours of the pixels that it covers.
             draw_terrain(
-                terrains.heights[i], terrains.looks[i], terrains.place[i], terrains.tint[i], sun,
-                lamp, view, projection, texels, canvas, image, buffers.terrain,
+                terrains.heights[i], terrains.place[i], terrains.tint[i], sun, lamp, view,
+                projection, texels[terrains.texture[i]], canvas, image, buffers.terrain,
             )  # fmt: skip
         # Seen from above, the view is a sector as wide as its widest line; half a pixel is added.
         narrowest = min(view.c0, view.c0 + view.dc * (height - 1))
@@ -141,7 +139,7 @@ def draw(mask, scene_fields, asset_fields, lens_fields, buffer_fields, out):
                     sun, eye, projection, canvas, buffers.mesh,
                 )  # fmt: skip
         for k in range(flats.count[i]):
-            texture, rows = flats.looks[i, k, 0], flats.tiling[i, k, 1]
+            texture, rows = flats.looks[i, k, 0], flats.tiling[i, k, 0]
             if texture >= len(texels):
                 return i
             if texture >= 0 or rows > 0:

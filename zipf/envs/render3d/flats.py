@@ -10,13 +10,12 @@ from zipf.envs.render3d.optics import (
     FAR,
     GROW,
     NEAR,
-    OPAQUE,
     SURFACE_DARK,
     SURFACE_SUN,
     light_on,
 )
 from zipf.envs.render3d.rounding import ceil, floor
-from zipf.envs.render3d.scene import FACES_DOWN, SEE_THROUGH, TWO_SIDED
+from zipf.envs.render3d.scene import FACES_DOWN, TWO_SIDED
 from zipf.envs.render3d.spans import narrow_rows
 from zipf.envs.render3d.textures import SIZE
 
@@ -37,7 +36,7 @@ def draw_flat(
     """
     colour, depth, low, high = image.colour, image.depth, span.low, span.high
     texture, flags = looks[0], looks[1]
-    first, rows, columns = tiling[0], tiling[1], tiling[2]
+    rows, columns = tiling[0], tiling[1]
     up = place[4] - view.z
     if up == 0.0:
         return
@@ -60,9 +59,7 @@ def draw_flat(
     per_v = SIZE / repeat if repeat > 0.0 else SIZE / deep
     area = per_u * per_v * da * da / abs(up)
     lit_red, lit_green, lit_blue = lamp[0] * tint[0], lamp[1] * tint[1], lamp[2] * tint[2]
-    solid = 0 if flags & SEE_THROUGH else OPAQUE
-    tiles_at = address(tiles) + 2 * first
-    texels_at = address(texels)
+    tiles_at, texels_at = address(tiles), address(texels)
     texture_at = texels_at + 4 * texels.shape[1] * texture
     line, depths = address(colour), address(depth)
     line_bytes = 4 * colour.shape[1]
@@ -98,13 +95,13 @@ def draw_flat(
             if rows > 0:
                 patchwork_block(
                     line + at, depths + at, texels_at, x, last_x, inverse,
-                    px * per_u, dx * per_u, py * per_v, dy * per_v, each, red, green, blue, solid,
-                    flags, px / wide, dx / wide, wide, py / deep, dy / deep, deep,
+                    px * per_u, dx * per_u, py * per_v, dy * per_v, each, red, green, blue, flags,
+                    px / wide, dx / wide, wide, py / deep, dy / deep, deep,
                     tiles_at, columns, rows,
                 )  # fmt: skip
             else:
                 flat_block(
                     line + at, depths + at, texture_at, x, last_x,
                     inverse, px * per_u, dx * per_u, py * per_v, dy * per_v, each, red, green,
-                    blue, solid, flags, px / wide, dx / wide, wide, py / deep, dy / deep, deep,
+                    blue, flags, px / wide, dx / wide, wide, py / deep, dy / deep, deep,
                 )  # fmt: skip

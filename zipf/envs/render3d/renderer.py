@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zipf.envs.render3d.assets import FIXED_COLOURS, pack_textures, prepare_meshes
+from zipf.envs.render3d.assets import FIXED_COLOURS, prepare_meshes
 from zipf.envs.render3d.drawing import draw
 from zipf.envs.render3d.lanes import LANES
 from zipf.envs.render3d.meshes import MeshAtlas
@@ -19,12 +19,11 @@ class Renderer:
     """Draws the views of the cameras of `Scenes`.
 
     The pixels of a scene do not depend on the other envs or the mask. Raises ValueError for sizes
-    below 1, a field of view outside 1 .. 170 and textures of another shape or dtype.
+    below 1, a field of view outside 1 .. 170 and textures that are not packed.
 
     Args:
         meshes: the atlas that the scenes' instances index.
-        textures: uint8 [K, 128, 128, 4], RGBA; or what `pack_textures` has made of them, which
-            several renderers may share.
+        textures: what `pack_textures` has made of them; several renderers may share it.
         width, height: of the images, in pixels.
         fov: the horizontal field of view, in degrees.
     """
@@ -32,7 +31,7 @@ class Renderer:
     def __init__(
         self,
         meshes: MeshAtlas,
-        textures: NDArray[np.uint8] | NDArray[np.uint32],
+        textures: NDArray[np.uint32],
         *,
         width: int = 96,
         height: int = 72,
@@ -43,21 +42,16 @@ class Renderer:
                 raise ValueError(f"{name} must be 1 or more, not {value}")
         if not 1 <= fov <= 170:
             raise ValueError(f"fov must be from 1 to 170 degrees, not {fov}")
-        texels: Any
-        if textures.dtype == np.uint32 and textures.shape[1:] == (2 * SIZE * SIZE,):
-            texels = textures
-        elif textures.ndim != 4 or textures.shape[1:] != (SIZE, SIZE, 4) or len(textures) == 0:
-            raise ValueError(f"textures must be [K, {SIZE}, {SIZE}, 4], not {textures.shape}")
-        elif textures.dtype != np.uint8:
-            raise ValueError(f"textures must be uint8, not {textures.dtype}")
-        else:
-            texels = pack_textures(textures.astype(np.uint8, copy=False))
+        if textures.dtype != np.uint32 or textures.shape[1:] != (2 * SIZE * SIZE,):
+            raise ValueError(
+                f"textures must be packed by pack_textures, not {textures.dtype} {textures.shape}"
+            )
         self.width = width
         self.height = height
         focal = width / 2 / math.tan(math.radians(fov) / 2)
         tilts = np.arctan(((height - 1) / 2 - np.arange(height)) / focal)
         # Plain tuples with the fields of `arrays.Assets`, `Lens` and `Buffers`.
-        self._assets = (texels, prepare_meshes(meshes), FIXED_COLOURS)
+        self._assets = (textures, prepare_meshes(meshes), FIXED_COLOURS)
         self._lens = (focal, tilts)
         self._most_vertices = int(np.diff(meshes.first_vertex).max(initial=0))
         self._most_triangles = int(np.diff(meshes.first_triangle).max(initial=0))
@@ -84,7 +78,8 @@ class Renderer:
         elif mask.shape != (n,) or mask.dtype != np.bool_:
             raise ValueError(f"mask must be bool {(n,)}, not {mask.dtype} {mask.shape}")
 
-        sizes = (scenes.solid.shape[1:], scenes.terrain_looks.shape[1:])
+        _, rows, columns = scenes.heights.shape
+        sizes = (scenes.solid.shape[1:], (rows - 1, columns - 1))
         if sizes != self._sizes:
             self._sizes = sizes
             self._buffers = self._allocate()

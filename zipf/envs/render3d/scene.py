@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from zipf.envs.render3d.optics import UNIT_SUN
 
 TWO_SIDED = 1  # a wall or flat that is visible from both sides
-SEE_THROUGH = 2  # a wall or flat whose texels with an alpha below 128 are holes
+SEE_THROUGH = 2  # a wall whose texels with an alpha below 128 are holes
 FACES_DOWN = 4  # a flat that is visible from below: a ceiling
 GROUNDED = 8  # a wall that stands on a floor, where it is dark at its foot
 EAST, NORTH, WEST, SOUTH = 16, 32, 64, 128
@@ -36,8 +36,8 @@ class Scenes:
     - `camera` float32 [N, 5]: x, y, z, yaw, pitch
     - `walls` float32 [N, W, 6]: x0, y0, x1, y1, z0 (bottom), z1 (top)
     - `wall_looks` int32 [N, W, 2]: texture (negative: not drawn; or SCREEN), flags
-    - `wall_repeat` float32 [N, W, 2]: metres per repeat of the texture along and up the wall;
-      0: the texture is stretched over the wall once
+    - `wall_repeat` float32 [N, W]: metres per repeat of the texture; 0: it is stretched over the
+      wall once
     - `wall_tint` uint8 [N, W, 3]: the texture is multiplied by tint / 255 (initially 255)
     - `wall_face` int32 [N, W]: the face of a cell of `solid` that the wall lies on, or -1
       (initially). The face (row * columns + column) * 4 + side, with sides 0 east, 1 north,
@@ -45,9 +45,9 @@ class Scenes:
     - `wall_count` int32 [N]: how many walls there are; the rest of the arrays is ignored
     - `flats` float32 [N, F, 5]: x0, y0, x1, y1, z
     - `flat_looks` int32 [N, F, 2]: texture (negative: not drawn), flags
-    - `flat_tiles` int32 [N, F, 3]: first, rows, columns. If rows is positive, the flat is a
-      patchwork of rows * columns equal tiles and its own texture is ignored: `tiles[first + row *
-      columns + column]` is the texture of a tile, with rows along y and columns along x
+    - `flat_tiles` int32 [N, F, 2]: rows, columns. If rows is positive, the flat is a patchwork of
+      rows * columns equal tiles and its own texture is ignored: `tiles[row * columns + column]` is
+      the texture of a tile, with rows along y and columns along x
     - `flat_repeat` float32 [N, F]: metres per repeat; 0: once over the flat, or over each tile
     - `flat_tint` uint8 [N, F, 3]
     - `flat_count` int32 [N]
@@ -82,8 +82,8 @@ class Scenes:
       rows along y and columns along x. A cell is two triangles that share the line from its
       south-west to its north-east corner, shaded by their slopes and visible from above only
     - `terrain` float32 [N, 4]: x, y of its south-west corner; the size of a cell, 0 (initially):
-      there is no terrain; metres per repeat of textures along x and y, 0: once over each cell
-    - `terrain_looks` int16 [N, rows, columns]: textures of its cells; negative (initially): a hole
+      there is no terrain; metres per repeat of its texture
+    - `terrain_texture` int32 [N]
     - `terrain_tint` uint8 [N, 3]
 
     Args:
@@ -117,13 +117,13 @@ class Scenes:
         self.camera = np.zeros((n, 5), np.float32)
         self.walls = np.zeros((n, walls, 6), np.float32)
         self.wall_looks = np.full((n, walls, 2), (-1, 0), np.int32)
-        self.wall_repeat = np.zeros((n, walls, 2), np.float32)
+        self.wall_repeat = np.zeros((n, walls), np.float32)
         self.wall_tint = np.full((n, walls, 3), 255, np.uint8)
         self.wall_face = np.full((n, walls), -1, np.int32)
         self.wall_count = np.zeros(n, np.int32)
         self.flats = np.zeros((n, flats, 5), np.float32)
         self.flat_looks = np.full((n, flats, 2), (-1, 0), np.int32)
-        self.flat_tiles = np.zeros((n, flats, 3), np.int32)
+        self.flat_tiles = np.zeros((n, flats, 2), np.int32)
         self.flat_repeat = np.zeros((n, flats), np.float32)
         self.flat_tint = np.full((n, flats, 3), 255, np.uint8)
         self.flat_count = np.zeros(n, np.int32)
@@ -146,7 +146,7 @@ class Scenes:
         self.grid = np.zeros((n, 3), np.float32)
         self.heights = np.zeros((n, terrain[0] + 1, terrain[1] + 1), np.float32)
         self.terrain = np.zeros((n, 4), np.float32)
-        self.terrain_looks = np.full((n, *terrain), -1, np.int16)
+        self.terrain_texture = np.zeros(n, np.int32)
         self.terrain_tint = np.full((n, 3), 255, np.uint8)
 
     def fields(self) -> tuple[Any, ...]:
@@ -165,7 +165,7 @@ class Scenes:
             (self.flats, self.flat_looks, self.flat_tiles, self.flat_repeat, self.flat_tint,
              self.flat_count, self.tiles),
             (self.mesh, self.position, self.rotation, self.scale, self.colours, self.pattern),
-            (self.heights, self.terrain, self.terrain_looks, self.terrain_tint),
+            (self.heights, self.terrain, self.terrain_texture, self.terrain_tint),
             (self.overlays, self.overlay_colours, self.overlay_count),
         )  # fmt: skip
 
@@ -177,7 +177,7 @@ class Scenes:
         textures: ArrayLike,
         *,
         flags: int = 0,
-        repeat: ArrayLike = 0.0,
+        repeat: float = 0.0,
         tint: ArrayLike = 255,
         faces: ArrayLike = -1,
     ) -> int:
@@ -232,7 +232,7 @@ class Scenes:
                     f"{tiles.size} tiles in an env with room for {self.tiles.shape[1]}"
                 )
             self.tiles[i, : tiles.size] = tiles.reshape(-1)
-            self.flat_tiles[i, index] = 0, *tiles.shape
+            self.flat_tiles[i, index] = tiles.shape
         return index
 
     def set_terrain(
@@ -241,30 +241,25 @@ class Scenes:
         corner: tuple[float, float],
         size: float,
         heights: NDArray[np.floating],
-        textures: ArrayLike,
+        texture: int,
         *,
-        repeat: float = 0.0,
+        repeat: float,
         tint: ArrayLike = 255,
     ) -> None:
         """Sets an env's terrain, whose cells have this size and whose south-west corner this x, y,
         metres.
 
-        `heights` are [rows + 1, columns + 1], metres, `textures` those of the cells, one for all or
-        [rows, columns]; for the rest see `terrain` and `terrain_tint`. Raises ValueError for other
-        shapes and a size that is not positive.
+        `heights` are [rows + 1, columns + 1], metres; for the rest see `terrain` and
+        `terrain_tint`. Raises ValueError for heights of another shape, and a size or `repeat` that
+        is not positive.
         """
         if heights.shape != self.heights.shape[1:]:
             raise ValueError(f"heights must be {self.heights.shape[1:]}, not {heights.shape}")
-        looks = np.asarray(textures)
-        if looks.ndim and looks.shape != self.terrain_looks.shape[1:]:
-            raise ValueError(
-                f"textures must be one or {self.terrain_looks.shape[1:]}, not {looks.shape}"
-            )
-        if size <= 0:
-            raise ValueError(f"size must be positive, not {size}")
+        if size <= 0 or repeat <= 0:
+            raise ValueError(f"size and repeat must be positive, not {size} and {repeat}")
         self.heights[i] = heights
         self.terrain[i] = *corner, size, repeat
-        self.terrain_looks[i] = looks
+        self.terrain_texture[i] = texture
         self.terrain_tint[i] = tint
 
 

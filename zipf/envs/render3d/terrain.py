@@ -38,15 +38,15 @@ def terrain_buffers(rows: int, columns: int) -> tuple[NDArray[Any], ...]:
 
 @compiled(references=False, error_model="numpy", fastmath=True)
 def draw_terrain(
-    heights, looks, place, tint, sun, lamp, view, projection, texels, canvas, image, buffers
+    heights, place, tint, sun, lamp, view, projection, texels, canvas, image, buffers
 ):  # fmt: skip
     """Draws a terrain where nothing has been drawn yet but the sky.
 
     Args:
-        heights, looks, place, tint: of `Terrains`, for one env.
+        heights, place, tint: of `Terrains`, for one env.
         sun, lamp: of the env.
         view, projection, canvas: `View`, `Projection`, `Canvas`.
-        texels: of `Assets`.
+        texels: of the terrain's texture.
         image, buffers: `ImageBuffers` and `TerrainBuffers`, written.
     """
     eye_x, eye_y, eye_z, hx, hy = view.x, view.y, view.z, view.hx, view.hy
@@ -55,13 +55,13 @@ def draw_terrain(
     middle_x, middle_y = projection.middle_x, projection.middle_y
     colour, depth = image.colour, image.depth
     line, seen, kinds, shown, light, area, corners = buffers
-    rows, columns = looks.shape
+    rows, columns = heights.shape[0] - 1, heights.shape[1] - 1
     west, south = np.float64(place[0]), np.float64(place[1])
     size, repeat = np.float64(place[2]), np.float64(place[3])
     width, height = canvas.width, canvas.height
     stride = line.shape[1]
     side = (middle_x + 1.0) / focal
-    per_texel = SIZE / (repeat if repeat > 0.0 else size)
+    per_texel = SIZE / repeat
     texels_each = per_texel * per_texel * da * da
     per_size = 1.0 / size
     dx, dz = west - eye_x, -eye_z
@@ -95,8 +95,6 @@ def draw_terrain(
         for n in range(count):
             column = shown[n]
             cell = (row - 1) * columns + column
-            if looks[row - 1, column] < 0:
-                continue
             low, low_east = heights[row - 1, column], heights[row - 1, column + 1]
             high_west, high = heights[row, column], heights[row, column + 1]
             for half in range(2):
@@ -124,13 +122,12 @@ def draw_terrain(
 
     lines, depths = address(colour), address(depth)
     texels_at, light_at, area_at = address(texels), address(light), address(area)
-    looks_at = address(looks)
     for y in range(height):
         c = c0 + dc * y
         for x in range(0, width, LANES):
             at = 4 * (y * colour.shape[1] + x)
             terrain_block(
-                lines + at, depths + at, texels_at, x, light_at, area_at, looks_at,
+                lines + at, depths + at, texels_at, x, light_at, area_at,
                 -dx * per_texel, (hx * c + hy * a0) * per_texel, hy * da * per_texel,
                 (eye_y - south) * per_texel, (hy * c - hx * a0) * per_texel, -hx * da * per_texel,
                 FADE2, lamp[0] * tint[0] / 255, lamp[1] * tint[1] / 255, lamp[2] * tint[2] / 255,

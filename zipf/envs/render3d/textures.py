@@ -86,16 +86,6 @@ def carpet(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
     return painted(colour, 1 + 0.1 * _noise(seed, 64, 64) + 0.06 * _noise(seed + 1, 16, 16))
 
 
-def brick(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    row, _ = _cells(8)
-    x = (X + 8 * (row % 2)) % 64
-    light = np.random.default_rng(seed).uniform(-0.1, 0.1, (8, 4))[row, (x // 16).astype(int)]
-    mortar = (Y % 8 < 1) | (x % 16 < 1)
-    bricks = painted(colour, 1 + light + 0.05 * _grain(seed))
-    joints = painted((196, 190, 180), 1 + 0.05 * _grain(seed + 9))
-    return np.where(mortar[..., None], joints, bricks)
-
-
 def checker(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
     return painted(colour, 1 + 0.03 * _grain(seed) - 0.2 * ((X // 16 + Y // 16) % 2))
 
@@ -117,16 +107,6 @@ def honeycomb(across: int) -> NDArray[np.float64]:
 def hexagons(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
     """A honeycomb, 4 cells wide and 4 high."""
     return painted(colour, 1 + 0.04 * _grain(seed) - 0.2 * (honeycomb(8) < 1.6))
-
-
-def fence(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
-    """Upright bars and two rails, with holes between them."""
-    bars = X % 16 < 5
-    rails = (Y % 32 >= 12) & (Y % 32 < 17)
-    light = 1 + 0.05 * _grain(seed) - 0.25 * (bars & (X % 16 >= 4)) - 0.1 * rails
-    image = painted(colour, light)
-    image[..., 3] = np.where(bars | rails, 255, 0)
-    return image
 
 
 def skirting(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
@@ -167,30 +147,27 @@ def picture(colour: tuple[int, int, int], seed: int) -> NDArray[np.uint8]:
     return image
 
 
-_TEXTURES: dict[str, tuple[Callable[..., NDArray[np.uint8]], tuple[int, int, int]]] = {
-    "plaster": (plaster, (222, 214, 200)),
-    "plaster_blue": (plaster, (176, 192, 210)),
-    "plaster_green": (plaster, (186, 203, 176)),
-    "wallpaper": (wallpaper, (214, 200, 176)),
-    "wallpaper_rose": (wallpaper, (216, 186, 182)),
-    "wallpaper_blue": (wallpaper, (172, 190, 208)),
-    "stripes": (stripes, (220, 208, 186)),
-    "stripes_green": (stripes, (180, 198, 172)),
-    "planks": (planks, (178, 138, 96)),
-    "planks_dark": (planks, (128, 96, 70)),
-    "tiles": (tiles, (206, 204, 198)),
-    "tiles_blue": (tiles, (142, 168, 186)),
-    "carpet": (carpet, (150, 132, 124)),
-    "carpet_red": (carpet, (150, 92, 86)),
-    "brick": (brick, (170, 98, 78)),
-    "checker": (checker, (202, 196, 186)),
-    "hexagons": (hexagons, (210, 146, 60)),
-    "ceiling": (plaster, (236, 234, 228)),
-    "white": (plaster, (245, 245, 245)),
-    "fence": (fence, (150, 112, 74)),
-    "skirting": (skirting, (236, 230, 218)),
-    "window": (window, (240, 238, 232)),
-    "picture": (picture, (120, 88, 60)),
+# By name: what paints it, in which colour, with which seed.
+_TEXTURES: dict[str, tuple[Callable[..., NDArray[np.uint8]], tuple[int, int, int], int]] = {
+    "plaster": (plaster, (222, 214, 200), 0),
+    "plaster_blue": (plaster, (176, 192, 210), 16),
+    "plaster_green": (plaster, (186, 203, 176), 32),
+    "wallpaper": (wallpaper, (214, 200, 176), 48),
+    "wallpaper_rose": (wallpaper, (216, 186, 182), 64),
+    "wallpaper_blue": (wallpaper, (172, 190, 208), 80),
+    "stripes": (stripes, (220, 208, 186), 96),
+    "stripes_green": (stripes, (180, 198, 172), 112),
+    "planks": (planks, (178, 138, 96), 128),
+    "planks_dark": (planks, (128, 96, 70), 144),
+    "tiles": (tiles, (206, 204, 198), 160),
+    "tiles_blue": (tiles, (142, 168, 186), 176),
+    "carpet": (carpet, (150, 132, 124), 192),
+    "carpet_red": (carpet, (150, 92, 86), 208),
+    "checker": (checker, (202, 196, 186), 240),
+    "ceiling": (plaster, (236, 234, 228), 272),
+    "skirting": (skirting, (236, 230, 218), 320),
+    "window": (window, (240, 238, 232), 336),
+    "picture": (picture, (120, 88, 60), 352),
 }
 
 NAMES: tuple[str, ...] = tuple(_TEXTURES)
@@ -205,9 +182,9 @@ def index(name: str) -> int:
 
 @cache
 def stack() -> NDArray[np.uint8]:
-    """All textures in the order of `NAMES`, uint8 [K, SIZE, SIZE, 4]; alpha 0 marks holes.
+    """All textures in the order of `NAMES`, uint8 [K, SIZE, SIZE, 4].
     Computed once; the array is read-only."""
-    images = [paint(colour, 16 * i) for i, (paint, colour) in enumerate(_TEXTURES.values())]
+    images = [paint(colour, seed) for paint, colour, seed in _TEXTURES.values()]
     stacked = np.stack(images)
     stacked.flags.writeable = False
     return stacked

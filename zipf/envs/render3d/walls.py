@@ -94,19 +94,18 @@ def draw_wall(
             low, high, colour, depth,
         )  # fmt: skip
         return
-    per_u = SIZE / repeat[0] if repeat[0] > 0.0 else SIZE / (length + 2 * GROW)
-    per_v = SIZE / repeat[1] if repeat[1] > 0.0 else SIZE / (tall + 2 * GROW)
-    shift_u = 0.0 if repeat[0] > 0.0 else GROW
-    shift_v = 0.0 if repeat[1] > 0.0 else GROW
+    per_u = SIZE / repeat if repeat > 0.0 else SIZE / (length + 2 * GROW)
+    per_v = SIZE / repeat if repeat > 0.0 else SIZE / (tall + 2 * GROW)
+    shift = 0.0 if repeat > 0.0 else GROW
     u, du_row, du = (
-        per_u * (u + shift_u * z),
-        per_u * (du_row + shift_u * dz_row),
-        per_u * (du + shift_u * dz),
+        per_u * (u + shift * z),
+        per_u * (du_row + shift * dz_row),
+        per_u * (du + shift * dz),
     )
     v, dv_row, dv = (
-        per_v * (v + shift_v * z),
-        per_v * (dv_row + shift_v * dz_row),
-        per_v * (dv + shift_v * dz),
+        per_v * (v + shift * z),
+        per_v * (dv_row + shift * dz_row),
+        per_v * (dv + shift * dz),
     )
     if distance > 0.0:
         nx, ny = -nx, -ny
@@ -117,7 +116,7 @@ def draw_wall(
     # A pixel covers area * t**3 texels.
     area = per_u * per_v * da * da / abs(distance)
     solid = 0 if flags & SEE_THROUGH else OPAQUE
-    foot = per_v * (tall + shift_v - STRIP)
+    foot = per_v * (tall + shift - STRIP)
     per_foot = 1.0 / (per_v * STRIP) if flags & GROUNDED else 0.0
     texture_at = address(texels) + 4 * texels.shape[1] * texture
     line, depths = address(colour), address(depth)

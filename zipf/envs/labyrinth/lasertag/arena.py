@@ -5,6 +5,7 @@ are in units. A second has 60 frames; periods that are stated in milliseconds ar
 ms of physics that a frame has, as the original counts them.
 """
 
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -84,12 +85,12 @@ class Combat(NamedTuple):
 def make_combat(num_envs: int, grid: int) -> Combat:
     """The state of envs without combat, whose text maps have `grid` rows and columns."""
     n = num_envs
-    return Combat(
+    combat = Combat(
         fighters=np.zeros(n, np.int64),
         bodies=np.zeros((n, FIGHTERS, 8)),
         status=np.zeros((n, FIGHTERS, LOADED + len(DAMAGE)), np.int64),
         minds=np.zeros((n, FIGHTERS, ATTACKED_AT + 1)),
-        fields=np.zeros((n, FIGHTERS, grid, grid), np.int16),
+        fields=np.full((n, FIGHTERS, grid, grid), -1, np.int16),
         spawns=np.zeros((n, SPAWNS, 2), np.int64),
         spawn_count=np.zeros(n, np.int64),
         kinds=np.full((n, SUPPLIES), NOTHING, np.int64),
@@ -101,15 +102,17 @@ def make_combat(num_envs: int, grid: int) -> Combat:
         points=np.zeros((n, 2), np.int64),
         stream=np.zeros((n, 4), np.uint64),
     )
+    combat.shots[:, :, SHOOTER] = -1
+    combat.traces[:, :, TRACE_FRAME] = -(10**6)
+    combat.flashes[:, :, FLASH_FRAME] = -(10**6)
+    return combat
+
+
+_one_combat = cache(partial(make_combat, 1))
 
 
 def clear_combat(combat: Combat, i: int) -> None:
     """Ends the combat of an env."""
-    for name, value in (
-        ("fighters", 0), ("bodies", 0.0), ("status", 0), ("minds", 0.0), ("fields", -1),
-        ("spawn_count", 0), ("kinds", NOTHING), ("until", -1), ("written", 0), ("points", 0),
-    ):  # fmt: skip
-        getattr(combat, name)[i] = value
-    combat.shots[i, :, SHOOTER] = -1
-    combat.traces[i, :, TRACE_FRAME] = -(10**6)
-    combat.flashes[i, :, FLASH_FRAME] = -(10**6)
+    first = _one_combat(combat.fields.shape[-1])
+    for name in Combat._fields:
+        getattr(combat, name)[i] = getattr(first, name)[0]

@@ -15,7 +15,6 @@ from zipf.envs.labyrinth.lasertag.arena import (
     HEALTH,
     LOADED,
     NOTHING,
-    SPAWNS,
     SUPPLIES,
     TAGGED_AT,
     clear_combat,
@@ -56,11 +55,6 @@ class Match:
         hue: int,
         seed: int,
     ) -> None:
-        if not 1 <= opponents < FIGHTERS or not 1 <= len(spawns) <= SPAWNS:
-            raise ValueError(
-                f"a match has 1 to {FIGHTERS - 1} opponents and 1 to {SPAWNS} spawn cells, got "
-                f"{opponents} and {len(spawns)}"
-            )
         self._env, self._i = world, world._number
         self._envs = world._envs
         self.combat = combat = self._envs.combat
@@ -74,8 +68,6 @@ class Match:
             kind, cell = supplies[k] if k < len(supplies) else (NOTHING, None)
             shown = kind if kind != NOTHING else len(COLOURS) - 1
             item = world.add_item(SUPPLY_MESHES[shown], colours=COLOURS[shown], seen_only=True)
-            if item != k:
-                raise ValueError("a match needs an env without items")
             combat.kinds[i, k] = kind
             if cell is not None:
                 world.put_in_cell(item, cell)
