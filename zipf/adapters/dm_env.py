@@ -101,6 +101,8 @@ def _spec(name: str, space: spaces.Space) -> specs.Array:
     """Raises ValueError: dm_env has no spec for such a space."""
     if isinstance(space, spaces.Discrete) and space.start == 0:
         return specs.DiscreteArray(int(space.n), dtype=space.dtype, name=name)
+    if isinstance(space, spaces.Discrete):
+        return specs.BoundedArray((), space.dtype, space.start, space.start + space.n - 1, name)
     if isinstance(space, spaces.MultiDiscrete):
         high = space.start + space.nvec - 1
         return specs.BoundedArray(space.shape, space.dtype, space.start, high, name)

@@ -92,7 +92,8 @@ class NetworkPolicy(ABC):
         """
         self.actions = int(action_space.n)
         self.rng = np.random.default_rng(seed)
-        names = with_underscores(observation_space, r"\W")
+        unread = [name for name in observation_space if name not in self.inputs]
+        names = with_underscores(unread, r"\W")
         self.renamed = {
             other: name
             for name, other in names.items()

@@ -151,7 +151,7 @@ class Agent(ABC):
     augmentation: Augmentation | None = None
 
     def __init__(self, options: Any, spec: AgentSpec):
-        wrong = [*options.problems(spec.context), *unsupported(options.name, spec.context.chosen)]
+        wrong = [*options.problems(spec.context), *unsupported(type(self), spec.context.chosen)]
         if wrong:
             raise ValueError("\n".join(wrong))
         self.options = options
@@ -245,14 +245,14 @@ def register(agent: AnyAgent) -> AnyAgent:
     return agent
 
 
-def unsupported(name: str, chosen: Mapping[str, Any]) -> Iterator[str]:
-    """One line for each choice, by the name of its group, that the agent of this name does not
-    support."""
+def unsupported(agent: type[Agent], chosen: Mapping[str, Any]) -> Iterator[str]:
+    """One line for each choice, by the name of its group, that the agent does not support."""
     for group, lacking in LACKING.items():
         plain = "scalar" if group == "critic" else "none"
         choice = chosen[group].name if group in chosen else plain
-        if choice != plain and group not in agents()[name].supports:
+        if choice != plain and group not in agent.supports:
             others = [key for key, other in agents().items() if group in other.supports]
+            name = name_of(agent.Options)
             yield (
                 f"{group}={choice}: agent={name} {lacking}; choose {group}={plain}, or "
                 f"agent={' or '.join(others)}"

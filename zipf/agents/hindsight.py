@@ -16,7 +16,7 @@ costs fall, linearly with the number of updates, to 0.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal, overload
+from typing import Annotated, Literal
 
 import torch
 import torch.nn.functional as F
@@ -87,17 +87,13 @@ class AchievedOptions(Options):
                 "network.matcher=learned"
             )
 
-    @overload
-    def share(self, updates: int) -> float: ...
-    @overload
-    def share(self, updates: Tensor) -> Tensor: ...
     def share(self, updates: int | Tensor) -> float | Tensor:
         """The factor of `policy_cost` and `value_cost` after so many updates, in [0, 1]; float32 []
-        of a tensor []."""
-        if isinstance(updates, Tensor):
-            faded = torch.zeros_like(updates) if self.fade is None else updates / self.fade
-            return (1 - faded.float()).clamp(min=0)
-        return 1.0 if self.fade is None else max(0.0, 1 - updates / self.fade)
+        of a tensor [] where it fades."""
+        if self.fade is None:
+            return 1.0
+        left = 1 - updates / self.fade
+        return left.clamp(min=0) if isinstance(left, Tensor) else max(0.0, left)
 
 
 HindsightOptions = NoHindsightOptions | AchievedOptions

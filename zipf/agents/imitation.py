@@ -58,7 +58,7 @@ class Policy(Torso):
 
     def forward(self, inputs: Inputs, state: State) -> tuple[Tensor, Tensor, State]:
         """Logits float32 [T, B, actions], the memory's outputs [T, B, size], and its state."""
-        _, core, state = self.remember(inputs, state)
+        core, state = self.remember(inputs, state)
         with in_full(core) as exact:
             read = exact if self.dictionary is None else self.dictionary(exact)
             return self.policy(read), core, state

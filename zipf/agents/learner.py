@@ -353,10 +353,6 @@ class Learner(Agent):
                     part.become_old()
         self.auxiliary.begin_with(self.network.encoder)
 
-    def fixed_parts(self) -> list[str]:
-        """Names of the parts of its network that do not learn, such as a fixed matcher."""
-        return self.network.fixed_parts()
-
     def scale_learning_rates(self, factor: float) -> None:
         """Sets the learning rates of all optimisers, for the updates that follow, to this factor, 0
         to 1, of those that they were built with."""

@@ -162,12 +162,9 @@ class Torso(nn.Module):
         }
         return [name for name, weights in trained.items() if weights and not any(weights)]
 
-    def remember(self, inputs: Inputs, state: State) -> tuple[Tensor, Tensor, State]:
-        """Unrolls `[T, B]` frames from the memory's `state`.
-
-        Returns the encoded observations [T, B, encoder size], the memory's outputs
-        [T, B, memory size], and its state after the last frame.
-        """
+    def remember(self, inputs: Inputs, state: State) -> tuple[Tensor, State]:
+        """Unrolls `[T, B]` frames from the memory's `state`: its outputs [T, B, memory size], and
+        its state after the last frame."""
         steps, batch = inputs.is_first.shape
         encoded = self.encoder({k: v.flatten(0, 1) for k, v in inputs.observation.items()})
         actions = torch.arange(self.actions, device=encoded.device)
@@ -180,8 +177,7 @@ class Torso(nn.Module):
             ],
             -1,
         )
-        core, state = self.memory(features, inputs.is_first, state)
-        return encoded, core, state
+        return self.memory(features, inputs.is_first, state)
 
 
 class ActorCritic(Torso):
@@ -212,7 +208,7 @@ class ActorCritic(Torso):
 
     def forward(self, inputs: Inputs, state: State) -> Outputs:
         """Unrolls `[T, B]` frames from the memory's `state`."""
-        _, core, state = self.remember(inputs, state)
+        core, state = self.remember(inputs, state)
         with in_full(core) as exact:
             read = exact if self.dictionary is None else self.dictionary(exact)
             logits, baseline = self.policy(read), self.baseline(read)

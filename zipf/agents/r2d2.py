@@ -152,7 +152,7 @@ class DuelingQ(Torso):
     def outputs(self, inputs: Inputs, state: State) -> tuple[Tensor, State]:
         """What the critic reads, float32 [T, B, actions, critic.size], and the memory's state after
         the last frame."""
-        _, core, state = self.remember(inputs, state)
+        core, state = self.remember(inputs, state)
         with in_full(core) as exact:
             value = self.value(exact).unsqueeze(-1)
             advantage = self.advantage(exact).unflatten(-1, (self.critic.size, self.actions))
@@ -314,22 +314,14 @@ class R2D2(Learner):
     def _insert(self, unroll: Unroll) -> int:
         """Puts an unroll into replay, and the relabelled episodes that come with it; returns the
         number of sequences."""
-        inserted = 0
         fresh = self.sequences.of_unroll(unroll)
-        if fresh is not None:
-            self._store(fresh)
-            inserted += len(fresh)
+        every = [] if fresh is None else [fresh]
         if unroll.episodes is not None:
-            inserted += self._insert_episodes(unroll.episodes)
-        return inserted
-
-    def _insert_episodes(self, episodes: TensorDict) -> int:
-        inserted = 0
-        memory = self.initial_memory(episodes.shape[1])
-        for relabelled in self.sequences.of_episodes(episodes, memory, self._advance):
-            self._store(relabelled)
-            inserted += len(relabelled)
-        return inserted
+            memory = self.initial_memory(unroll.episodes.shape[1])
+            every += self.sequences.of_episodes(unroll.episodes, memory, self._advance)
+        for items in every:
+            self._store(items)
+        return sum(map(len, every))
 
     def _store(self, items: TensorDict) -> None:
         assert self.replay is not None
@@ -395,8 +387,8 @@ class R2D2(Learner):
         target_memory = memory
         with torch.no_grad(), self.autocast():
             if self.options.burn_in:
-                *_, target_memory = self.target.remember(Inputs.of(prefix), memory)
-                *_, memory = self.network.remember(Inputs.of(prefix), memory)
+                _, target_memory = self.target.remember(Inputs.of(prefix), memory)
+                _, memory = self.network.remember(Inputs.of(prefix), memory)
             target_outputs, _ = self.target.outputs(inputs, target_memory)
         with self.autocast():
             outputs, _ = self.network.outputs(inputs, memory)
@@ -404,7 +396,8 @@ class R2D2(Learner):
         chosen = critic.value(outputs.detach()).argmax(-1)
         bootstraps = unrescale(critic.mean(of_actions(target_outputs, chosen)))
         values = unrescale(critic.mean(of_actions(outputs.detach(), chosen)))
-        unknown, final_values = steps["truncated"][:-1], torch.zeros_like(steps["reward"][:-1])
+        unknown = (steps["truncated"] & ~steps["terminated"])[:-1]
+        final_values = torch.zeros_like(steps["reward"][:-1])
         if finals is not None:
             known, final_values = finals.by_step(bootstraps)
             unknown = unknown & ~known

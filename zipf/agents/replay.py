@@ -21,7 +21,7 @@ from torch import Tensor
 from torchrl.data import TensorDictReplayBuffer, TensorStorage
 
 from zipf.agents.free_space import free_disk, free_on, free_ram, in_words
-from zipf.agents.priorities import DeviceSampler, PrioritySampler
+from zipf.agents.priorities import PrioritySampler
 
 
 class Replay:
@@ -163,15 +163,11 @@ class Replay:
             else:
                 self._check_files(slots)
             self._map_files(slots)
-        on_device = self.device.type != "cpu"
-        sampler = (
-            DeviceSampler(self.capacity, **self.sampling, device=self.device)
-            if on_device
-            else PrioritySampler(slots, self.capacity, **self.sampling)
-        )
         self._buffer = TensorDictReplayBuffer(
-            storage=TensorStorage(self._items, device=self.device, compilable=on_device),
-            sampler=sampler,
+            storage=TensorStorage(
+                self._items, device=self.device, compilable=self.device.type != "cpu"
+            ),
+            sampler=PrioritySampler(slots, self.capacity, **self.sampling, device=self.device),
         )
 
     def _files(self, slots: int) -> Iterator[tuple[Path, int]]:

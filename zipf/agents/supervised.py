@@ -48,7 +48,7 @@ class Classifier(Torso):
 
     def forward(self, inputs: Inputs, state: State) -> Tensor:
         """Logits of the answers, float32 [T, B, 2]."""
-        _, core, _ = self.remember(inputs, state)
+        core, _ = self.remember(inputs, state)
         with in_full(core) as exact:
             return self.answer(exact)
 

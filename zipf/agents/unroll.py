@@ -205,11 +205,8 @@ class Unroll:
 
     def to(self, device: str) -> Unroll:
         """The same on another device."""
-        memory: dict[str, Tensor] = {k: v.to(device) for k, v in self.memory.items()}
-        late = self.late_memory and {k: v.to(device) for k, v in self.late_memory.items()}
-        final = None if self.final is None else self.final.to(device, non_blocking=True)
-        episodes = None if self.episodes is None else self.episodes.to(device)
-        return Unroll(self.steps.to(device, non_blocking=True), memory, late, final, episodes)
+        moved: Unroll = mapped(self, lambda _, tensor: tensor.to(device, non_blocking=True))
+        return moved
 
 
 def weighted(losses: Tensor, steps: TensorDict) -> Tensor:

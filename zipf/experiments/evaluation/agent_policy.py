@@ -15,16 +15,15 @@ class AgentPolicy:
     Args:
         agent: acts as it does when it is scored, without exploration.
         seed: of the draws.
-        device: where the agent computes.
 
     Attributes:
         deterministic: take the most probable action in the place of a draw, of an agent whose `act`
             returns `logits`. Others, such as R2D2, are taken to draw nothing when they are scored.
     """
 
-    def __init__(self, agent: Agent, *, seed: int, device: str):
+    def __init__(self, agent: Agent, *, seed: int):
         self.agent = agent
-        self.device = device
+        self.device = agent.device
         self.deterministic = False
         self.generator = torch.Generator().manual_seed(seed)
 

@@ -22,6 +22,7 @@ from zipf import envs
 from zipf.envs.arguments import whole
 from zipf.errors import UserError, writing
 from zipf.experiments.building.seeds import derive_seed
+from zipf.experiments.evaluation.policies import plain_option
 from zipf.experiments.evaluation.scoring import (
     HOW_STEPPED,
     Evaluation,
@@ -203,7 +204,7 @@ def _environment(split: envs.Split, level_options: Mapping[str, Any]) -> dict[st
     if split.name in envs.all_splits():
         options = envs.family_of_split(split.name).options_class().model_dump()
     plain = {
-        name: list(value) if isinstance(value, tuple) else value
+        name: plain_option(value)
         for name, value in level_options.items()
         if name not in HOW_STEPPED
     }

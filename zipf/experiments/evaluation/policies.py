@@ -84,7 +84,7 @@ def check_env_options(
             if name not in options:
                 differing.append(f"{name}={value} of the policy, and {level} has no {name}")
                 break
-            if _plain(value) != _plain(options[name]):
+            if plain_option(value) != plain_option(options[name]):
                 differing.append(f"{name}={value} of the policy, {options[name]} of {level}")
                 break
     if differing:
@@ -94,7 +94,8 @@ def check_env_options(
         )
 
 
-def _plain(value: Any) -> Any:
+def plain_option(value: Any) -> Any:
+    """An option's value as configurations have it: lists in the place of tuples."""
     return list(value) if isinstance(value, tuple) else value
 
 

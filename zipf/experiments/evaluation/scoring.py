@@ -23,7 +23,12 @@ from zipf.experiments.evaluation.evaluator import (
     scores,
     situations,
 )
-from zipf.experiments.evaluation.policies import as_policy, check_env_options, own_torch_draws
+from zipf.experiments.evaluation.policies import (
+    as_policy,
+    check_env_options,
+    own_torch_draws,
+    plain_option,
+)
 from zipf.experiments.reporting.statistics import RESAMPLES, bootstrap, wilson_interval
 
 FEWEST_MET = 5  # times, on average, that a situation is met where situations are drawn
@@ -205,9 +210,7 @@ def env_options(split: str | envs.Split, **level_options: Any) -> dict[str, dict
             }
         options |= {**level_options, **level.options}
         found[level.name] = {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in options.items()
-            if name not in HOW_STEPPED
+            name: plain_option(value) for name, value in options.items() if name not in HOW_STEPPED
         }
     return found
 
@@ -358,11 +361,12 @@ def bootstrap_over_situations(
     rng = np.random.default_rng(0)
     of_each = [returns[situations == k] for k in range(situations.max() + 1)]
     counts = np.array([len(one) for one in of_each])
-    # By resample and situation, the sum of the returns of drawn episodes.
-    sums = np.stack([rng.choice(one, (RESAMPLES, len(one))).sum(axis=1) for one in of_each], axis=1)
     drawn = rng.integers(len(of_each), size=(RESAMPLES, len(of_each)))
-    totals = np.take_along_axis(sums, drawn, axis=1).sum(axis=1)
-    low, high = np.percentile(totals / counts[drawn].sum(axis=1), [2.5, 97.5])
+    sums = np.empty(drawn.shape)  # of the returns of episodes drawn anew for every draw
+    for k, one in enumerate(of_each):
+        here = drawn == k
+        sums[here] = rng.choice(one, (here.sum(), len(one))).sum(axis=1)
+    low, high = np.percentile(sums.sum(axis=1) / counts[drawn].sum(axis=1), [2.5, 97.5])
     return float(low), float(high)
 
 

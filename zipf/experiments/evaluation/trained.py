@@ -73,7 +73,7 @@ class TrainedAgent:
         """Forgets all: new episodes begin in all environments, of which there may be another number
         than before. Where `seed` is given the draws of actions begin anew from it."""
         if seed is not None:
-            self._policy = AgentPolicy(self.agent, seed=seed, device=self.config.torch_device)
+            self._policy = AgentPolicy(self.agent, seed=seed)
         self._acts_in: int | None = None
 
     def act(
@@ -164,7 +164,7 @@ class TrainedAgent:
                 f"{self.folder}: its agent was trained in environments with {known[0]} and "
                 f"{known[1]}; those to play have {observation_space} and {action_space}"
             )
-        return AgentPolicy(self.agent, seed=seed, device=self.config.torch_device)
+        return AgentPolicy(self.agent, seed=seed)
 
 
 def _as_trained_with(name: str, part: ArrayLike, space: spaces.Space, alone: bool) -> NDArray:
@@ -238,7 +238,7 @@ def evaluate_agent(
 ) -> list[Result]:
     """Scores an agent on its split's levels; all random draws derive from `seed`."""
     return evaluate(
-        AgentPolicy(agent, seed=derive_seed(seed, "actions"), device=config.torch_device),
+        AgentPolicy(agent, seed=derive_seed(seed, "actions")),
         config.split,
         episodes=episodes,
         num_envs=num_envs,
