@@ -11,7 +11,6 @@ import shlex
 import sys
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -133,22 +132,10 @@ class Report:
             drawn = draw_matplotlib.figures(self.statistics, self._looks)
             return {f"{table}_{kind}": figure for table, kind, figure in drawn}
 
-    def _repr_html_(self) -> str:
-        import pandas as pd
+    def _repr_markdown_(self) -> str:
+        from zipf.experiments.reporting.markdown import markdown_report
 
-        from zipf.experiments.reporting.grids import caption, main_grid
-
-        shown = []
-        for table in self.tables:
-            grid = main_grid(table)
-            lines = [[*line.leading, *line.ours] for line in (*grid.lines, *grid.baselines)]
-            cells = pd.DataFrame(lines, columns=[*grid.leading, *grid.columns])
-            notes = "".join(f"<br>{escape(one)}" for one in (caption(table), *table.notes))
-            shown.append(
-                f"<b>{escape(table.title)}</b>{cells.to_html(index=False, border=0)}"
-                f"<small>{notes.removeprefix('<br>')}</small>"
-            )
-        return "<br>".join(shown)
+        return markdown_report(self.tables, {})
 
 
 def report(
@@ -282,10 +269,10 @@ def _asked_for(
     runs, order, highlighted = load_runs(folders), list[str](), list[str]()
     if conditions is not None:
         names = split_names(conditions, runs) if isinstance(conditions, str) else conditions
-        runs, order = chosen_runs(runs, names)
+        runs, order = chosen_runs(runs, names, "conditions")
     if highlight is not None:
         names = split_names(highlight, runs) if isinstance(highlight, str) else highlight
-        highlighted = chosen_runs(runs, names)[1]
+        highlighted = chosen_runs(runs, names, "highlight")[1]
     return runs, order, highlighted
 
 

@@ -110,7 +110,7 @@ def train(
     config = loading.load(words)
     flags = [] if config_dir is None else ["--config-dir", str(config_dir)]
     with quietly(quiet):
-        stopped = _train(config, [*flags, *words])
+        stopped = _train(config, flags, words)
     if stopped == signal.SIGINT:
         raise KeyboardInterrupt(f"{config.run_name}: stopped with a checkpoint")
     if stopped:
@@ -121,8 +121,10 @@ def train(
 _training = threading.Lock()
 
 
-def _train(config: Config, words: list[str]) -> int:
+def _train(config: Config, flags: list[str], overrides: list[str]) -> int:
     """Trains; afterwards PyTorch's generators are as before, and the GPU's memory is free."""
+    if of_hydra := [word for word in overrides if sweeps.for_hydra(word)]:
+        raise UserError(f"{of_hydra[0]}: is for the jobs of a sweep: add -m, or leave it out")
     import torch
 
     from zipf.experiments import cluster
@@ -136,7 +138,7 @@ def _train(config: Config, words: list[str]) -> int:
     gpus = range(torch.cuda.device_count()) if torch.cuda.is_initialized() else ()
     try:
         with torch.random.fork_rng(devices=gpus):
-            return runner.train(config, cluster.runtime_of(config), words)
+            return runner.train(config, cluster.runtime_of(config), [*flags, *overrides])
     finally:
         _training.release()
         gc.collect()
@@ -153,7 +155,7 @@ def _text(value: Any) -> str:
             return str(value).lower()
         case str() | Path():
             text = str(value)
-            plain = re.fullmatch(r"(?!(true|false|null|nan|inf)$)[a-z_/][\w./-]*", text, re.I)
+            plain = re.fullmatch(r"(?ai)(?!(true|false|null|nan|inf)$)[a-z_/][\w./-]*", text)
             return text if plain else composing.quoted(text)
         case Mapping():
             return "{" + ",".join(f"{key}:{_text(one)}" for key, one in value.items()) + "}"
@@ -227,11 +229,7 @@ def _main() -> int:
                 )
             raise UserError(f"this is a sweep of {len(jobs)} jobs: add -m")
         if not arguments.cfg:
-            if of_hydra := [word for word in arguments.overrides if sweeps.for_hydra(word)]:
-                raise UserError(
-                    f"{of_hydra[0]}: is for the jobs of a sweep: add -m, or leave it out"
-                )
-            stopped = _train(jobs[0].config, sys.argv[1:])
+            stopped = _train(jobs[0].config, arguments.flags, overrides)
             return 128 + stopped if stopped else 0
     sys.argv += [path for path in [composing.search_path()] if path]
     _hydra()

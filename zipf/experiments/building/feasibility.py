@@ -83,7 +83,7 @@ def problems(config: Config, coming: Collection[Path] = ()) -> Iterator[str]:
     )
     checked = [*parts.values(), *config.loggers.values()]
     found = [line for options in checked for line in options.problems(context)]
-    found += unsupported(config.agent.name, parts)
+    found += unsupported(agents()[config.agent.name], parts)
     yield from found
     if problem := _no_folder(config):
         yield f"run_root={config.run_root:.200}: {problem}"
@@ -358,7 +358,7 @@ def _wrong_parts(config: Config, agent: Agent) -> Iterator[str]:
             yield f"pretrained.parts: no part {name!r}; the network has {', '.join(known)}"
     left = [
         name
-        for name in agent.fixed_parts()
+        for name in agent.network.fixed_parts()
         if not any(f"{name}.".startswith(f"{part}.") for part in chosen)
     ]
     if left:

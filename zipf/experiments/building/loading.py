@@ -12,7 +12,8 @@ from zipf.experiments.options.schema import Config
 
 def load(overrides: list[str]) -> Config:
     """The configuration of these overrides, checked.
-    Raises UserError with one line for every unknown, mistyped or impossible option."""
+    Raises UserError with one line for every unknown or mistyped option; where there are none, for
+    those that do not fit each other, the environments or this machine."""
     config = read(overrides)
     check(config)
     return config
@@ -30,14 +31,5 @@ def check(config: Config, coming: Collection[Path] = ()) -> None:
 
 def read(overrides: list[str]) -> Config:
     """The configuration of these overrides; whether they fit each other is left to `check`.
-    Raises UserError with one line for every unknown or mistyped option; where there are any, also
-    for those that do not fit each other."""
-    try:
-        return command_line.read(overrides)
-    except command_line.Mistakes as error:
-        if error.config is None:
-            raise
-        from zipf.experiments.building import feasibility
-
-        further = feasibility.problems(error.config)
-        raise UserError("\n".join([str(error), *further])) from None
+    Raises UserError with one line for every unknown or mistyped option."""
+    return command_line.read(overrides)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import shlex
 import subprocess
@@ -23,7 +24,7 @@ from zipf.envs import EngineError
 from zipf.errors import UserError, reading, writing
 from zipf.experiments.building import checkpoint
 from zipf.experiments.options.runtime import TorchrunOptions
-from zipf.experiments.options.schema import Config, name_of_run, schema
+from zipf.experiments.options.schema import Config, schema
 from zipf.experiments.records import results
 from zipf.experiments.records.replacing import replace_text
 from zipf.experiments.records.result_table import check_tables, ends_at, last_update
@@ -74,8 +75,8 @@ def check_resumed(config: Config) -> None:
 def is_finished(config: Config) -> bool:
     """Whether a run has nothing left to do, by its files alone: no envs or networks are made.
     False also where something is wrong, such as a damaged file: the run itself will tell."""
-    folder = config.folder
     try:
+        folder = config.folder
         if config.resume == "never" or not ends_at(folder / "evaluations.csv", config.updates):
             return False
         saved = find_checkpoint(config)
@@ -86,7 +87,7 @@ def is_finished(config: Config) -> bool:
             check_description(config)
             check_tables(folder, config.updates, saved["tables"])
         return done
-    except UserError:
+    except (UserError, OSError, RuntimeError, ValueError):  # the last three: no such folder can be
         return False
 
 
@@ -103,8 +104,6 @@ def check_options(path: Path, saved: dict[str, Any], config: Config) -> None:
     """Raises `UserError` where a checkpoint was made with other options than these."""
     with fits(path):
         there, here = {**saved["options"]}, config.what_is_learned
-        if "pretrained.run" in there:  # checkpoints of before have the whole path
-            there["pretrained.run"] = name_of_run(there["pretrained.run"])
     differing = [
         f"{name}={there.get(name)} there, {here.get(name)} here"
         for name in sorted(there.keys() | here.keys())
@@ -427,7 +426,8 @@ def commit() -> str | None:
 
 def _started_by(config: Config) -> list[str]:
     if isinstance(config.runtime, TorchrunOptions):
-        return ["torchrun", f"--nproc-per-node={config.learners}"]
+        of_machine = os.environ.get("LOCAL_WORLD_SIZE", config.learners)
+        return ["torchrun", f"--nproc-per-node={of_machine}"]
     return ["python"]
 
 

@@ -9,13 +9,12 @@ that learns from it less the version that played it. An actor has `runtime.ahead
 way, and is asked for another when one is taken, with the weights as they are then: it plays while
 the learner learns. If unrolls are taken in the order in which they were asked for, as with equally
 fast actors, the lag is at most actors x ahead. A slow actor does not hold up the others; an unroll
-whose lag has come to exceed `RayOptions.lag_bound` is discarded.
+whose lag has come to exceed 4 x actors x ahead is discarded.
 
 A frame counts when it is learned from, so that every update counts num_envs x unroll_length of
-them, as in other runtimes. Unrolls are numbered by the process that plays them, and the learner
-refuses a number that is not above the last. An actor that is lost, with its node or alone, is
-replaced by a new process, the next *incarnation*, with seeds of its own; its unrolls on their way
-are lost with it.
+them, as in other runtimes. An actor that is lost, with its node or alone, is replaced by a new
+process, the next *incarnation*, with seeds of its own; its unrolls on their way are lost with it.
+Unrolls are numbered by the process that plays them: what the agent keeps from one goes to the next.
 
 What is not promised:
 
@@ -97,7 +96,7 @@ class Collecting:
             "number": self.played,
             "unroll": arrays(unroll.state_dict()),
             "episodes": self.collector.take_episodes(),
-            "visits": self.collector.take_visits().state_dict(),
+            "visits": self.collector.visits.take().state_dict(),
             "seconds": seconds,
         }
 
@@ -136,8 +135,6 @@ class _Call:
 
 class RayRuntime(Runtime):
     """`runtime=ray`: actors in a Ray cluster collect for one learner."""
-
-    name = "ray"
 
     def rollouts(
         self, env: ZipfVectorEnv | TensorEnv, agent: Agent, stream: tuple[int, ...] = ()
@@ -207,8 +204,6 @@ class RayActors:
             UserError: actors die before they have played, or have another version of this package.
         """
         actor, played = self._take()
-        if played["number"] <= actor.learned:
-            raise RuntimeError(f"actor {actor.number}: unroll {played['number']} arrived twice")
         follows = actor.learned == played["number"] - 1
         self.agent.carry(actor.carried if follows else {})
         unroll = Unroll.of_state(tensors(played["unroll"]))
@@ -344,7 +339,9 @@ class RayActors:
             self._ask(actor)
             actor.has_played = True
             lag = self.version - call.version
-            if lag <= self.options.lag_bound:
+            # Older ones are discarded, as by Petrenko et al. 2020. Ours: 4, so that a node may be
+            # about four times slower than the others.
+            if lag <= 4 * self.options.actors * self.options.ahead:
                 self._lags.append(lag)
                 return actor, result
             self._discarded += 1

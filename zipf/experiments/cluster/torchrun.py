@@ -119,8 +119,6 @@ class Learner(OnlyLearner):
 class TorchrunRuntime(Runtime):
     """`runtime=torchrun`: learners that torchrun has started, each with a share of the envs."""
 
-    name = "torchrun"
-
     @contextmanager
     def learner(self) -> Iterator[OnlyLearner]:
         """This process as the learner that it is, until the end.

@@ -11,7 +11,7 @@ from zipf import envs
 from zipf.errors import UserError
 from zipf.experiments.options import composing
 from zipf.experiments.options.config_files import find
-from zipf.experiments.options.schema import RowOptions
+from zipf.experiments.options.schema import RandomSearch, RowOptions
 
 EXPLAINED = ("experiment", "condition", "environment")
 """Groups that are listed with a line about each choice."""
@@ -104,7 +104,9 @@ def _all_choices() -> str:
             if family.splits
         ],
         "-m sweep= (a sweep; or -m and lists of values)": _summaries("sweep"),
-        "-m search= (a sweep over intervals and lists, drawn and scored)": _summaries("search"),
+        "-m search= (a sweep over intervals and lists, drawn and scored)": [
+            ("random", _random_search())
+        ],
         "hydra/launcher= (what starts the jobs of a sweep)": list(LAUNCHERS.items()),
         "Other groups:": [
             (f"{group}=", ", ".join(composing.choices(group)))
@@ -117,6 +119,12 @@ def _all_choices() -> str:
 
 def _summaries(group: str) -> list[tuple[str, str]]:
     return [(name, summary(group, name)) for name in composing.choices(group)]
+
+
+def _random_search() -> str:
+    fields = RandomSearch.model_fields.items()
+    options = " ".join(f"search.{name}={field.default}" for name, field in fields)
+    return f"values drawn at random, all trials at once; {options}"
 
 
 def _described(family: envs.Family) -> str:

@@ -37,24 +37,12 @@ from zipf.options import Options
 AnyOptions = TypeVar("AnyOptions", bound=Options)
 
 
-class Mistakes(UserError):
-    """Mistakes in options, a line each.
-
-    Attributes:
-        config: the configuration without the options that are unknown; None where there is none.
-    """
-
-    def __init__(self, lines: list[str], config: Config | None = None):
-        super().__init__("\n".join(lines))
-        self.config = config
-
-
 def read(overrides: list[str]) -> Config:
     """The configuration of these overrides; whether its options fit each other is not checked
     here (`zipf.experiments.building.loading`).
 
     Raises:
-        Mistakes: with one line for every unknown or mistyped option.
+        UserError: with one line for every unknown or mistyped option.
     """
     return read_composed(overrides)[0]
 
@@ -62,7 +50,7 @@ def read(overrides: list[str]) -> Config:
 def read_composed(overrides: list[str]) -> tuple[Config, Composed]:
     """As `read`, with what the configuration was made from."""
     parsed = parse(overrides)
-    composing.load_plugins(_plugins(parsed))
+    composing.load_plugins(plugins_of(overrides))
     known, problems = _known(parsed)
     if not any(one.key_or_group == "experiment" for one in parse(known)):
         raise UserError("\n".join(problems))
@@ -80,9 +68,9 @@ def read_composed(overrides: list[str]) -> tuple[Config, Composed]:
     try:
         config = with_precision(schema().model_validate(values))
     except ValidationError as error:
-        raise Mistakes([*problems, *_explain(error, values)]) from None
+        raise UserError("\n".join([*problems, *_explain(error, values)])) from None
     if problems:
-        raise Mistakes(problems, config)
+        raise UserError("\n".join(problems))
     return config, composed
 
 
@@ -123,7 +111,15 @@ def plugins_of(overrides: list[str]) -> list[str]:
     Raises:
         UserError: an override cannot be parsed, or `plugins` is not a list of names.
     """
-    return _plugins(parse(overrides))
+    own = [one for one in parse(overrides) if one.key_or_group == "plugins"]
+    if own and own[-1].is_sweep_override():
+        raise UserError(f"{own[-1].input_line}: should be a list: plugins=[my_module,another]")
+    found = [one.value() for one in own]
+    names = found[-1] if found else []
+    names = [names] if isinstance(names, str) else names
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise UserError(f"plugins={names}: should be a list of modules: plugins=[my_module]")
+    return names
 
 
 def split(words: list[str]) -> argparse.Namespace:
@@ -252,29 +248,17 @@ _instructed: dict[str, bool] = {}
 
 def has_instruction(environment: dict[str, Any]) -> bool:
     """Whether the envs of a split, with these options, have an instruction; True if they cannot
-    be made."""
+    be made, or none are chosen."""
     key = json.dumps(environment, sort_keys=True, default=str)
     if key not in _instructed:
-        options = {name: value for name, value in environment.items() if name != "split"}
         try:
+            options = {name: value for name, value in environment.items() if name != "split"}
             env = envs.make_vec(envs.split(environment["split"]).train[0], 1, **options)
             _instructed[key] = "instruction" in env.single_observation_space.spaces
             env.close()
-        except (ValueError, TypeError, MemoryError):
+        except (AttributeError, LookupError, ValueError, TypeError, MemoryError):
             _instructed[key] = True
     return _instructed[key]
-
-
-def _plugins(overrides: list[Override]) -> list[str]:
-    own = [one for one in overrides if one.key_or_group == "plugins"]
-    if own and own[-1].is_sweep_override():
-        raise UserError(f"{own[-1].input_line}: should be a list: plugins=[my_module,another]")
-    found = [one.value() for one in own]
-    names = found[-1] if found else []
-    names = [names] if isinstance(names, str) else names
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise UserError(f"plugins={names}: should be a list of modules: plugins=[my_module]")
-    return names
 
 
 def _row(name: RowName) -> dict[str, Any]:
@@ -460,6 +444,9 @@ def _explain(error: ValidationError, values: dict[str, Any]) -> Iterator[str]:
             name = "name"
         if problem["type"] == "missing" or problem["input"] == "???":
             yield f"{name}: is not set"
+        elif problem["type"] == "union_tag_not_found":
+            option = problem["ctx"]["discriminator"].strip("'")
+            yield f"{name}.{option}: is not set"
         elif problem["type"] == "union_tag_invalid":
             tag = problem["ctx"]
             option = tag["discriminator"].strip("'")

@@ -272,11 +272,12 @@ _stored: dict[str, config_files.Node] = {}  # what was stored last
 
 
 def _files() -> Files:
-    """All files of configurations."""
+    """All files of configurations. A link to nowhere is told where it is read; a hidden one, of an
+    editor, is not."""
     places = ("*.yaml", "*/*.yaml")
     folders = config_files.folders()
     files = (path for folder in folders for one in places for path in sorted(folder.glob(one)))
-    return tuple((path, path.stat().st_mtime_ns) for path in files)
+    return tuple((path, path.stat().st_mtime_ns) for path in files if path.exists())
 
 
 def _nodes() -> dict[str, config_files.Node]:

@@ -1,8 +1,8 @@
 """Where configurations are: `configs/`, folders of the user's and of plugins.
 
 Each has a file for each group, with a block for each choice; a file for each experiment; one for
-all conditions, one for all sweeps and one for searches. Hydra has a file for each choice, in a
-folder for each group: so `nodes` makes of ours what Hydra would find in such folders.
+all conditions and one for all sweeps. Hydra has a file for each choice, in a folder for each group:
+so `nodes` makes of ours what Hydra would find in such folders.
 """
 
 from __future__ import annotations
@@ -126,9 +126,9 @@ def find(group: str, name: str) -> Written | None:
 def _written(folder: Path, group: str) -> dict[str, Written]:
     """What a folder has of a group."""
     if group == "experiment":
-        return {path.stem: read(path) for path in sorted(folder.glob("experiments/*.yaml"))}
+        return {path.stem: read(path) for path in sorted(folder.glob("experiments/[!.]*.yaml"))}
     path = folder / f"{group}.yaml"
-    if group not in {*groups(), "sweep", "search"} or not path.is_file():
+    if group not in {*groups(), "sweep"} or not path.is_file():
         return {}
     found = blocks(path)
     if group in ("environment", *usual().values):
@@ -151,24 +151,21 @@ def _misplaced(folder: Path) -> Iterator[str]:
     experiments = folder / "experiments"
     if folder != CONFIG_DIR:
         yield from _misnamed(folder)
-    for group in sorted(groups() | {"sweep", "search"}):
-        for path in sorted((folder / group).glob("*.yaml")):
+    for group in sorted(groups() | {"sweep"}):
+        for path in sorted((folder / group).glob("[!.]*.yaml")):
             if group == "experiment":
                 yield f"{path}: should be {experiments / path.name}"
             else:
                 yield f"{path}: should be the block '{path.stem}' of {folder / group}.yaml"
-    for path in sorted(folder.glob("values/*/*.yaml")):
-        file = experiments / f"{path.parent.name}.yaml"
-        yield f"{path}: should be the block '{path.stem}' of 'agent' or 'memory' in {file}"
 
 
 def _misnamed(folder: Path) -> Iterator[str]:
     if (path := folder / "train.yaml").is_file():
         yield f"{path}: is read from zipf's own folder alone; should be a file of experiments/"
-    for path in sorted(folder.glob("experiments/*.yml")):
+    for path in sorted(folder.glob("experiments/[!.]*.yml")):
         yield f"{path}: should be {path.with_suffix('.yaml').name}"
-    names = sorted({*groups(), "sweep", "search"} - {"experiment"})
-    for path in sorted([*folder.glob("*.yaml"), *folder.glob("*.yml")]):
+    names = sorted({*groups(), "sweep"} - {"experiment"})
+    for path in sorted([*folder.glob("[!.]*.yaml"), *folder.glob("[!.]*.yml")]):
         close = difflib.get_close_matches(path.stem, names, n=1, cutoff=0.8)
         if close and path.name != f"{close[0]}.yaml":
             yield f"{path}: should be {close[0]}.yaml"

@@ -21,20 +21,13 @@ class RayOptions(Options):
 
     `address` is that of the cluster, or "auto" for the one that this machine belongs to; None: one
     of the run's own, on this machine. `ahead` is how many unrolls may be asked for from an actor
-    and not yet learned from. `largest_lag` is by how many updates the weights that played an unroll
-    may be older than those that learn from it; None: 4 x actors x ahead.
+    and not yet learned from.
     """
 
     name: Literal["ray"]
     address: Annotated[str, Field(min_length=1)] | None
     actors: Size
     ahead: Annotated[int, Field(ge=1, le=2)]
-    largest_lag: Size | None
-
-    @property
-    def lag_bound(self) -> int:
-        """Updates: no unroll is learned from whose weights are older."""
-        return self.largest_lag or 4 * self.actors * self.ahead
 
 
 class TorchrunOptions(Options):

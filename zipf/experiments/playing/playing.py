@@ -100,8 +100,7 @@ def play(options: PlayOptions, say: Callable[[str], None]) -> None:
         for one in levels:
             stack.callback(one.env.close)
         lines: list[str] = []
-        recording = None
-        watch: Callable[[int, int], None] = _unwatched
+        recording, watch = None, None
         say_episode = say
         if screen:
             stack.callback(_say_all, lines, say)
@@ -192,7 +191,7 @@ def _played_levels(
         from zipf.experiments.evaluation.agent_policy import AgentPolicy
 
         actions = derive_seed(seed, "actions")
-        agent = AgentPolicy(trained.agent, seed=actions, device=trained.config.torch_device)
+        agent = AgentPolicy(trained.agent, seed=actions)
         who = f"agent {trained.config.row.title}, seed {trained.config.seed}"
     levels = []
     for level in keys:
@@ -249,9 +248,6 @@ def _progress(
             bar.update(task, completed=done, description=said)
 
         yield watch
-
-
-def _unwatched(episode: int, step: int) -> None: ...
 
 
 def _load(folder: str, plugins: list[str]) -> TrainedAgent:

@@ -77,24 +77,23 @@ class Recording:
     def bytes(self) -> int:
         return self._file.tell()
 
-    def add(self, frame: NDArray[np.uint8] | None, *, repeat: int = 1) -> None:
-        """Adds a frame, uint8 [height, width, 3], all of one size, `repeat` times. None: the last
-        one is shown for longer."""
+    def add(self, frame: NDArray[np.uint8] | None) -> None:
+        """Adds a frame, uint8 [height, width, 3], all of one size. None: the last one again."""
         if frame is not None:
             self._last = frame
         try:
             if self._encoder is None:
                 self.size = (self._last.shape[1], self._last.shape[0])
                 self._encoder = self._open()
-            for _ in range(repeat):
-                self._encoder.write(self._last)
-                self.frames += 1
+            self._encoder.write(self._last)
+            self.frames += 1
         except OSError as error:
             raise self._cannot_be_written(error) from None
 
     def hold(self, seconds: float) -> None:
         """Shows the last frame for so long more, in whole frames."""
-        self.add(None, repeat=ceil(seconds * self.fps))
+        for _ in range(ceil(seconds * self.fps)):
+            self.add(None)
 
     def __enter__(self) -> Recording:
         return self

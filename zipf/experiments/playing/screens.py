@@ -68,12 +68,10 @@ def open_screen(kind: str) -> Screen:
     except (ImportError, RuntimeError) as error:
         if kind == "window":
             raise UserError(f"screen=window: {error}; use screen=terminal") from None
-        if _is_terminal():
+        try:
             return Terminal()
-        raise UserError(
-            f"no screen: {error}, and standard input and output are not a terminal; "
-            "policy=<name> record=FILE.gif records without a screen"
-        ) from None
+        except UserError as other:
+            raise UserError(f"no screen: {error}; {other}") from None
 
 
 def _is_terminal() -> bool:
@@ -272,7 +270,8 @@ class Window:
 
     def key(self, timeout: float | None) -> str | None:
         ends = time.monotonic() + (float("inf") if timeout is None else timeout)
-        while (left := ends - time.monotonic()) > 0:
+        while True:
+            left = max(ends - time.monotonic(), 0)
             # Short waits, so that Ctrl-C in the terminal works.
             event = self._pygame.event.wait(max(int(1000 * min(left, 0.1)), 1))
             if event.type == self._pygame.QUIT:
@@ -285,7 +284,9 @@ class Window:
                     name = event.unicode.lower()
                 if name:
                     return name
-        return None
+            # Whatever waits is read even where there is no time, as with a slow policy.
+            if not left and event.type == self._pygame.NOEVENT:
+                return None
 
 
 _FONT_SIZE = 14

@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from zipf.experiments.evaluation.evaluator import Policy
 
 _PAUSE = 1.0  # seconds on the last frame of an episode
-_MEGABYTE = 10**6
-_TOO_LARGE = 10 * _MEGABYTE  # ours: more than mails and comments on the web take
-_SAMPLE = 2 * _MEGABYTE  # ours: of a file from which the size of the whole is estimated
 
 
 @dataclass(frozen=True)
@@ -108,10 +105,10 @@ class Session:
     fps: float
     seed: int
     say: Callable[[str], None]
-    watch: Callable[[int, int], None]  # is told of every step: the episode, from 1, and its step
+    # is told of every step: the episode, from 1, and its step
+    watch: Callable[[int, int], None] | None
     episodes: int | None  # how many to play; None: until the person leaves
     toggled: int = 0
-    said_size: bool = False
 
     def play(self) -> None:
         """Plays the episodes."""
@@ -128,27 +125,6 @@ class Session:
                 _Episode(self, one, number, several).play(seed)
         except _Leave:
             pass
-
-    def stepped(self, number: int, step: int) -> None:
-        """A step of an episode has been shown and recorded: says how large a file will be that will
-        be too large for most purposes, as soon as there is enough of it to know."""
-        self.watch(number, step)
-        recording = self.shows.recording
-        if recording is None or self.said_size or recording.bytes < _SAMPLE:
-            return
-        limits = [one.env.time_limit for one in self.levels]
-        steps = recording.frames
-        if self.episodes and None not in limits:
-            steps = self.episodes * max(one or 0 for one in limits)
-        size = recording.bytes * max(steps / recording.frames, 1)
-        if size > _TOO_LARGE:
-            self.said_size = True
-            smaller = "" if recording.path.suffix.lower() == ".mp4" else "an .mp4, "
-            self.say(
-                f"{recording.path.name} will have up to {size / _MEGABYTE:.0f} MB, at "
-                f"{recording.bytes / recording.frames / 1000:.0f} kB a step and as many steps as "
-                f"there may be; {smaller}a smaller size= or fewer episodes= take less"
-            )
 
 
 class _Episode:
@@ -202,7 +178,8 @@ class _Episode:
 
     def _show(self, *, due: bool) -> None:
         self.shows.step(self.env, self.observation, self._text(), due=due)
-        self.session.stepped(self.number, self.steps)
+        if self.session.watch:
+            self.session.watch(self.number, self.steps)
 
     def _keyboard(self) -> int | None:
         """The person's action; None for the next episode."""

@@ -180,9 +180,7 @@ def play(trained: TrainedAgent, situation: Situation, name: str) -> tuple[list[E
     """
     first: dict[video_files.Outcome, Episode] = {}
     tried = successes = 0
-    policy = AgentPolicy(
-        trained.agent, seed=derive_seed(0, "videos", name), device=trained.config.torch_device
-    )
+    policy = AgentPolicy(trained.agent, seed=derive_seed(0, "videos", name))
     with closing(_envs(trained, situation.level, AT_A_TIME)) as env:
         while tried < EPISODES and len(first) < len(OUTCOMES):
             for episode in _batch(env, policy, situation, seed=tried):

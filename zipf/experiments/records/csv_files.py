@@ -104,9 +104,9 @@ def read_lines(path: Path) -> tuple[list[str], bool]:
             content = gzip.decompress(content)
         except (OSError, EOFError, zlib.error) as error:
             raise UserError(f"{path.as_posix()}: is damaged ({error})") from None
-    complete, _, torn = plain(path, content).rpartition(b"\n")
+    complete, end, torn = plain(path, content).rpartition(b"\n")
     text = complete.decode("utf-8", errors="replace")
-    return (text.split("\n") if text else []), bool(torn)
+    return (text.split("\n") if end else []), bool(torn)
 
 
 def read_fields(path: Path, lines: list[str]) -> list[list[str]]:
@@ -120,6 +120,8 @@ def read_fields(path: Path, lines: list[str]) -> list[list[str]]:
                 raise csv.Error("a quoted field does not end")
             if "\r" in lines[len(found)]:
                 raise csv.Error("a carriage return inside the line")
+            if not found and not fields:
+                raise csv.Error("is empty")
             if found and len(fields) != len(found[0]):
                 raise csv.Error(f"{len(fields)} fields where there are {len(found[0])} columns")
             found.append(fields)

@@ -196,10 +196,10 @@ def load_run(folder: Path) -> Run:
     """The run in `folder`. Raises UserError: one of its files is damaged."""
     description = read_description(folder / "run.json")
     notes: list[str] = []
-    texts = {name: read_texts(folder / name, notes) for name in TABLES}
-    options = _read_options(folder / "config.yaml", description)
-    places = {name: folder / name for name in ("config.yaml", *TABLES)}
-    return _run(folder, description, options, texts, places, notes)
+    read = {name: (folder / name, read_texts(folder / name, notes)) for name in TABLES}
+    path = folder / "config.yaml"
+    options = _read_options(path, description)
+    return _run(folder, description, options, _settings(path, description, options), read, notes)
 
 
 def load_record(folder: Path, within: Path | None = None) -> list[Run]:
@@ -207,8 +207,6 @@ def load_record(folder: Path, within: Path | None = None) -> list[Run]:
     may be a link or hold the record. Raises UserError: one of its files is damaged."""
     kept = record.read(folder)
     real, within = folder.resolve(), (within or folder).resolve()
-    places = {"config.yaml": folder / record.OPTIONS}
-    places |= {name: folder / f"{name}{record.SUFFIX}" for name in TABLES}
     runs = []
     for name, values in kept.runs.items():
         if not (real / name).is_relative_to(within):
@@ -218,9 +216,13 @@ def load_record(folder: Path, within: Path | None = None) -> list[Run]:
         except ValidationError as error:
             where = f"{(folder / record.RUNS).as_posix()}: {name}"
             raise UserError(f"{where}: {first_problem(error)}") from None
-        texts = {file: kept.tables[name].get(file, pd.DataFrame()) for file in TABLES}
         options = kept.options.get(name, {})
-        runs.append(_run(folder / name, description, options, texts, places, []))
+        settings = _settings(folder / record.OPTIONS, description, options)
+        read = {
+            file: (folder / f"{file}{record.SUFFIX}", kept.tables[name].get(file, pd.DataFrame()))
+            for file in TABLES
+        }
+        runs.append(_run(folder / name, description, options, settings, read, []))
     return runs
 
 
@@ -228,20 +230,16 @@ def _run(
     folder: Path,
     description: RunDescription,
     options: dict[str, Any],
-    texts: Mapping[str, pd.DataFrame],
-    places: Mapping[str, Path],
+    settings: dict[str, Any],
+    read: Mapping[str, tuple[Path, pd.DataFrame]],
     notes: Sequence[str],
 ) -> Run:
-    """The run that these files tell of: its tables by the name of the file, and, for messages,
-    where they and the options were read."""
-
-    def of(name: str) -> tuple[Path, pd.DataFrame]:
-        return places[name], texts[name]
-
-    evaluations = _evaluations(*of("evaluations.csv"), description)
-    situations, situation_names = _situations(*of("situations.csv"), description)
+    """The run that these tables tell of; `read` has where each was read, for messages, and its
+    texts, by the name of its file."""
+    evaluations = _evaluations(*read["evaluations.csv"], description)
+    situations, situation_names = _situations(*read["situations.csv"], description)
     reached = dict.fromkeys(("update", "frames", "seconds"), 0.0)
-    metrics = values_of(*of("metrics.csv"), dict.fromkeys(reached, "number"))
+    metrics = values_of(*read["metrics.csv"], dict.fromkeys(reached, "number"))
     for frame in (evaluations, metrics):
         for column in reached:
             if len(frame):
@@ -256,7 +254,7 @@ def _run(
         frames=int(reached["frames"]),
         seconds=reached["seconds"],
         options=options,
-        settings=_settings(places["config.yaml"], description, options),
+        settings=settings,
         notes=tuple(notes),
     )
 

@@ -105,37 +105,29 @@ def estimates(statistics: SeedStatistics, looks: Looks) -> Chart | None:
     for levels in table.kinds:
         kind = levels.level_kind
         lines: list[Line] = []
-        dot: dict[str, Any] = {"marker": "o", "joined": False}
-        mark: dict[str, Any]
         of_kind = scores[scores["level_kind"] == kind].set_index("row")
         for row, place in zip(rows, places, strict=False):
             if row.key not in of_kind.index:
                 continue
             found: Any = of_kind.loc[row.key]
-            named: dict[str, Any] = {"colour": looks.of(table, row).colour, "key": f"row {row.key}"}
+            colour, key = looks.of(table, row).colour, f"row {row.key}"
             published = float(found["paper_value"])
-            mark = {
-                "marker": "X",
-                "size": 4.5,
-                "joined": False,
-                "key": "paper",
-                "title": "The paper",
-            }
             text = f"{row.title}: the paper {published:.2f}"
-            lines.append(Line([published], [place], GREY, points=[text], **mark))
+            paper = Line([published], [place], GREY, (), "paper", "The paper", points=[text])
+            lines.append(replace(paper, marker="X", size=4.5, joined=False))
             score, text = float(found["score"]), f"{row.title}: {found['score']:.2f}"
             several = (row.key, kind) in known.index and not levels.is_weighted
             if several:
                 estimate: Any = known.loc[(row.key, kind)]
                 score, low, high = (float(estimate[one]) for one in ("value", "low", "high"))
                 text = f"{row.title}: {estimate_text(score, low, high)}"
-                lines.append(Line([low, high], [place] * 2, width=2.4, **named))
-            dot |= {"size": 6, "filled": several, "points": [text]}
-            lines.append(Line([score], [place], **dot, **named))
+                lines.append(Line([low, high], [place] * 2, colour, key=key, width=2.4))
+            dot = Line([score], [place], colour, key=key, points=[text])
+            lines.append(replace(dot, marker="o", size=6, filled=several, joined=False))
         for one, place in zip(baselines, places[len(rows) :], strict=True):
             score = table.baseline(one.name).get(kind, math.nan)
-            dot |= {"size": 5, "filled": True, "points": [f"{one.title}: {score:.2f}"]}
-            lines.append(Line([score], [place], GREY, **dot))
+            dot = Line([score], [place], GREY, points=[f"{one.title}: {score:.2f}"])
+            lines.append(replace(dot, marker="o", size=5, joined=False))
         limits = _reach([line.x for line in lines])
         panels.append(Panel(KIND_NAMES[kind], lines, Axis("Score", limits), y))
     assert y.limits is not None
@@ -341,20 +333,15 @@ def averages(table: ScoreTable, looks: Looks) -> Chart | None:
                 if len(seeds) > 1:
                     ranges = True
                     ends = [min(seeds), max(seeds)]
-                    range_: dict[str, Any] = {"key": key, "width": 5, "opacity": 0.3}
-                    lines.append(Line(ends, [place] * 2, colour, **range_))
+                    lines.append(Line(ends, [place] * 2, colour, key=key, width=5, opacity=0.3))
             text = f"{names[number]}: {KIND_NAMES[kind]} {of_kinds[kind]:.2f}"
-            drawn: dict[str, Any] = {**KIND_MARKS[kind], "size": 6.5, "joined": False}
-            lines.append(Line([of_kinds[kind]], [place], colour, key=key, points=[text], **drawn))
-    for kind, mark in KIND_MARKS.items():  # for the legend
-        named: dict[str, Any] = {
-            "key": kind,
-            "title": KIND_NAMES[kind],
-            "size": 6.5,
-            "joined": False,
-            **mark,
-        }
-        lines.append(Line([points[-1][kind]], [places[-1]], GREY, **named))
+            dot = Line([of_kinds[kind]], [place], colour, key=key, points=[text], size=6.5)
+            lines.append(replace(dot, joined=False, **KIND_MARKS[kind]))
+    for kind, mark in KIND_MARKS.items():  # for the legend alone, which knows no opacity
+        title = KIND_NAMES[kind]
+        lines.append(
+            Line([0.0], [0.0], GREY, (), kind, title, size=6.5, joined=False, opacity=0.0, **mark)
+        )
     assert y.limits is not None
     return Chart(
         "averages",
@@ -377,7 +364,7 @@ def frequencies(table: ScoreTable) -> Chart | None:
     if not found:
         return None
     every = pd.concat([of_rank["share"] for of_rank in found.values()])
-    y = _log_axis("Share of episodes", every, lambda share: f"{100 * share:g} %")
+    y = _log_axis("Share of episodes", every, lambda share: f"{100 * share:.3g} %")
     panels = []
     for name, of_rank in found.items():
         lines = []
@@ -560,19 +547,9 @@ def _baseline_lines(found: Mapping[str, tuple[Numbers, Numbers]]) -> list[Line]:
                 lines[place] = replace(other, title=title, points=[title] * len(other.y))
                 break
         else:
-            looks: dict[str, Any] = {
-                "dash": BASELINE_DASHES[one.name],
-                "width": 1.2,
-                "behind": True,
-            }
             texts = [f"{one.title}: {value:.3f}" for value in y]
-            named: dict[str, Any] = {
-                "key": one.name,
-                "title": one.title,
-                "labelled": True,
-                "points": texts,
-            }
-            lines.append(Line(x, y, GREY, **looks, **named))
+            line = Line(x, y, GREY, BASELINE_DASHES[one.name], one.name, one.title, labelled=True)
+            lines.append(replace(line, width=1.2, behind=True, points=texts))
     return lines
 
 
@@ -655,7 +632,8 @@ def _log_axis(
     title: str, values: Iterable[float], text: Callable[[float], str], most: int = 12
 ) -> Axis:
     """A logarithmic axis for these values, which are positive: ticks at 1, 2 and 5 times the powers
-    of ten, or at every power or every second one where these would be more than `most`."""
+    of ten, or at every power or every second one where these would be more than `most`; at the ends
+    where all values lie between two of them."""
     low, high = min(values), max(values)
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     limits = low / 1.3, high * 1.3
@@ -664,7 +642,7 @@ def _log_axis(
         if sum(limits[0] <= tick <= limits[1] for tick in ticks) <= most:
             break
         ticks = [float(f"1e{power}") for power in powers[::of_powers]]
-    ticks = [tick for tick in ticks if limits[0] <= tick <= limits[1]]
+    ticks = [tick for tick in ticks if limits[0] <= tick <= limits[1]] or sorted({low, high})
     return Axis(title, limits, log=True, ticks=(ticks, [text(tick) for tick in ticks]))
 
 
@@ -674,7 +652,7 @@ def _visits_axis(title: str, visits: pd.Series) -> Axis:
     def text(count: float) -> str:  # `20k`
         sizes = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (0.0, ""))
         size, letter = next(one for one in sizes if count >= one[0])
-        return f"{count / (size or 1):g}{letter}"
+        return f"{count / (size or 1):.3g}{letter}"
 
     if visits.min() > 0:
         return _log_axis(title, visits, text, most=6)

@@ -142,12 +142,14 @@ def names_of(run: Run) -> tuple[str, str]:
     return run.description.condition, run.description.row.title
 
 
-def chosen_runs(runs: Sequence[Run], names: Sequence[str]) -> tuple[list[Run], list[str]]:
+def chosen_runs(
+    runs: Sequence[Run], names: Sequence[str], option: str
+) -> tuple[list[Run], list[str]]:
     """The runs of these conditions, and the conditions in the order of `names`: names or titles of
-    conditions, in which * stands for anything.
+    conditions, in which * stands for anything; an option has them.
     Raises UserError: a name is of no condition of these runs, or there is none."""
     if not names:
-        raise UserError("conditions: names none; leave it out for all")
+        raise UserError(f"{option}: names none; leave it out")
     found: list[str] = []
     for name in names:
         asked = re.compile(".*".join(re.escape(part) for part in name.lower().split("*")))
@@ -176,7 +178,7 @@ def split_names(text: str, runs: Sequence[Run]) -> list[str]:
         length = next((n for n in lengths if ",".join(parts[:n]).strip().lower() in known), 1)
         names.append(",".join(parts[:length]).strip())
         parts = parts[length:]
-    return names
+    return [name for name in names if name]
 
 
 @dataclass(frozen=True, eq=False)

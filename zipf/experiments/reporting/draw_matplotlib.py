@@ -28,7 +28,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import EngFormatter, MaxNLocator, NullLocator
 
-from zipf.experiments.records.wording import PlotFormat
+from zipf.experiments.records.wording import PlotFormat, spoken
 from zipf.experiments.reporting.charts import charts, rank_ticks
 from zipf.experiments.reporting.panels import (
     LABEL_LETTERS,
@@ -174,19 +174,16 @@ def _draw(drawn: axes.Axes, panel: Panel, name: str) -> None:
             continue
         x, y = np.asarray(line.x, float), np.asarray(line.y, float)
         z = 1 if line.behind else 2
-        given: dict[str, Any] = {
-            "alpha": line.opacity,
-            "zorder": z,
-            "gid": name and f"line-{name}{number}",
-        }
-        drawn.plot(x, y, **_style(line), **given)
+        gid = name and f"line-{name}{number}"
+        drawn.plot(x, y, **_style(line), alpha=line.opacity, zorder=z, gid=gid)
         if name and line.points:
             gid = f"points-{name}{number}"
             drawn.plot(x, y, "o", color="#000000", markersize=9, alpha=0.01, zorder=5, gid=gid)
         if line.low is not None and line.high is not None:
             gid = name and f"line-{name}{number}-band"
-            band: dict[str, Any] = {"color": line.colour, "alpha": 0.15, "linewidth": 0, "gid": gid}
-            drawn.fill_between(x, line.low, line.high, **band)
+            drawn.fill_between(
+                x, line.low, line.high, color=line.colour, alpha=0.15, linewidth=0, gid=gid
+            )
     for start, end in panel.x.shades:
         drawn.axvspan(start, end, color=SHADE, zorder=0, linewidth=0)
     if panel.x.log:
@@ -317,18 +314,16 @@ def _heat_maps(chart: HeatMaps, on_page: bool) -> Figure:
     for panel in panels.flat[len(titles) :]:
         panel.set_visible(False)
     for panel in panels[:, 0]:
-        panel.set_ylabel(f"{chart.names[0].capitalize()} rank")
+        panel.set_ylabel(f"{spoken(chart.names[0])} rank")
     for column in range(across):
         lowest = max(line for line in range(down) if line * across + column < len(titles))
-        panels[lowest, column].set_xlabel(f"{chart.names[1].capitalize()} rank")
+        panels[lowest, column].set_xlabel(f"{spoken(chart.names[1])} rank")
         panels[lowest, column].tick_params(labelbottom=True)
     # As tall as one map, however many there are.
-    bar: dict[str, Any] = {
-        "shrink": min(0.9, 2.4 / height),
-        "aspect": 20 * min(0.9, 2.4 / height),
-        "anchor": (0, 1),
-    }
-    figure.colorbar(image, ax=panels, label=chart.label, **bar)
+    part = min(0.9, 2.4 / height)
+    figure.colorbar(
+        image, ax=panels, label=chart.label, shrink=part, aspect=20 * part, anchor=(0, 1)
+    )
     if not on_page:
         _set_title(figure, f"{chart.table}: {chart.subject}")
     return figure

@@ -1,8 +1,9 @@
 """The report as one HTML page, which needs no other file, no server and no network.
 
-A page is a list of sections, a section a list of blocks; `templates/report.html.jinja` has a macro
-for each kind of block. All text is escaped. Figures are pictures within the page. A policy in the
-page's head allows the page's own script by its checksum and nothing from elsewhere.
+A page is a list of sections, a section a list of blocks; `templates/blocks.html.jinja` has a macro
+for each kind of block, of the name of its class. All text is escaped. Figures are pictures within
+the page. A policy in the page's head allows the page's own script by its checksum and nothing from
+elsewhere.
 """
 
 from __future__ import annotations
@@ -10,10 +11,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import resources
-from typing import ClassVar
 
 import yaml
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -21,7 +20,7 @@ from markupsafe import Markup, escape
 
 from zipf.experiments.records import video_files
 from zipf.experiments.records.results import Run
-from zipf.experiments.records.wording import count_text, duration_text, seeds_list
+from zipf.experiments.records.wording import count_text, seeds_list
 from zipf.experiments.reporting.charts import charts
 from zipf.experiments.reporting.claims import ClaimLine
 from zipf.experiments.reporting.comparable import differences
@@ -48,7 +47,6 @@ from zipf.experiments.reporting.tables import Row
 class Text:
     """A paragraph."""
 
-    kind: ClassVar[str] = "text"
     text: str
 
 
@@ -56,7 +54,6 @@ class Text:
 class Notes:
     """A list of what is missing or doubtful."""
 
-    kind: ClassVar[str] = "notes"
     notes: tuple[str, ...]
 
 
@@ -64,7 +61,6 @@ class Notes:
 class Cells:
     """A table."""
 
-    kind: ClassVar[str] = "cells"
     title: str  # above it
     head: Sequence[str]  # the headings of its columns
     # its cells; the first `leading` of a line are its heading or text
@@ -80,7 +76,6 @@ class Cells:
 class Figure:
     """Pictures that belong together, side by side or one below the other."""
 
-    kind: ClassVar[str] = "figure"
     title: str
     pictures: Sequence[tuple[str, Markup]]  # what each shows, for those who do not see it, and it
     note: str
@@ -91,7 +86,6 @@ class Figure:
 class Lines:
     """The rows of the figures after it, which a reader can hide one by one."""
 
-    kind: ClassVar[str] = "lines"
     rows: Sequence[tuple[str, str, str]]  # key, title and colour
 
 
@@ -108,7 +102,6 @@ class Clip:
 class Clips:
     """The videos of a run; for each situation its name and its videos."""
 
-    kind: ClassVar[str] = "clips"
     title: str
     groups: Sequence[tuple[str, Sequence[Clip]]]
 
@@ -117,7 +110,6 @@ class Clips:
 class RunDetails:
     """What is known of a run; `facts` are names and texts."""
 
-    kind: ClassVar[str] = "run"
     title: str
     facts: Sequence[tuple[str, str]]
     configuration: str
@@ -170,19 +162,19 @@ def report_sections(
 
 def page(sections: Sequence[Section]) -> str:
     """The page. It depends on the sections alone."""
+    loader = PackageLoader("zipf.experiments.reporting")
     environment = Environment(
-        loader=PackageLoader("zipf.experiments.reporting"),
+        loader=loader,
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     environment.filters["breakable"] = breakable
-    script = _template("report.js")
+    script, *_ = loader.get_source(environment, "report.js")
     return environment.get_template("report.html.jinja").render(
         title="Zipfian environments: report",
         sections=sections,
-        style=Markup(_template("report.css")),
         script=Markup(script),
         policy=_policy(script),
     )
@@ -191,19 +183,18 @@ def page(sections: Sequence[Section]) -> str:
 def table_section(found: SeedStatistics, looks: Looks, name: str) -> Section:
     """Scores, figures and runs of a table; `name` is unique in the page."""
     table = found.table
-    drawn = {row: looks.of(table, row).colour.lower() for row in table.rows}
-    drawn = {row: PAGE_COLOURS.get(colour, colour) for row, colour in drawn.items()}
-    colours = {row.title: colour for row, colour in drawn.items()}
+    drawn = [looks.of(table, row).colour.lower() for row in table.rows]
+    colours = [PAGE_COLOURS.get(colour, colour) for colour in drawn]
     blocks: list[Block] = [cells_of(main_grid(table), "Scores", colours=colours)]
     blocks += [cells_of(grid, folded=True) for grid in lower_grids(table)]
     blocks.append(Text(caption(table)))
     if table.notes:
         blocks.append(Notes(table.notes))
-    blocks.append(Lines([(f"row {row.key}", row.title, drawn[row]) for row in drawn]))
+    lines = zip(table.rows, colours, strict=True)
+    blocks.append(Lines([(f"row {row.key}", row.title, colour) for row, colour in lines]))
     blocks += _figures(found, looks, name)
     pairs = [(row, run) for row in table.rows for run in row.runs]
-    lines = [run_cells(row, run) for row, run in pairs]
-    blocks.append(Cells("Runs", RUN_COLUMNS, lines))
+    blocks.append(Cells("Runs", RUN_COLUMNS, [run_cells(row, run) for row, run in pairs]))
     blocks += _differences(table.runs, "Options that differ between runs", False)
     blocks += [clips for row, run in pairs for clips in _clips(row, run)]
     blocks += [_details(row, run) for row, run in pairs]
@@ -211,9 +202,9 @@ def table_section(found: SeedStatistics, looks: Looks, name: str) -> Section:
 
 
 def cells_of(
-    grid: Grid, title: str = "", folded: bool = False, colours: Mapping[str, str] | None = None
+    grid: Grid, title: str = "", folded: bool = False, colours: Sequence[str] = ()
 ) -> Cells:
-    """A score table; `colours` are those of its rows, by their titles."""
+    """A score table; `colours` are those of its lines."""
     head, paper = [*grid.leading], set()
     for column, published in zip(grid.columns, grid.has_paper, strict=True):
         head.append(column)
@@ -226,7 +217,7 @@ def cells_of(
         lines=[grid.cells(line) for line in grid.lines],
         baselines=[grid.cells(line) for line in grid.baselines],
         paper=frozenset(paper),
-        colours=[(colours or {}).get(line.leading[0], "") for line in grid.lines],
+        colours=colours,
         folded=folded,
     )
 
@@ -235,14 +226,15 @@ def _figures(found: SeedStatistics, looks: Looks, name: str) -> list[Figure]:
     figures = []
     for chart in charts(found, looks):
         pictures = []
+        wide = isinstance(chart, Chart) and chart.width is not None
         for number, part in enumerate(parts(chart)):
             what = part.panels[0].title if isinstance(part, Chart) else part.maps[0][0]
+            what = "" if wide else what  # a picture of all panels
             label = f"{chart.table}: {chart.subject}{', ' if what else ''}{what}"
             drawn = inline(part, f"{name}-{chart.kind}-{number}")
             pictures.append((label, Markup(drawn)))
         grey = getattr(chart, "grey", "")
         note = f"{chart.note} Grey: {grey}." if grey else chart.note
-        wide = isinstance(chart, Chart) and chart.width is not None
         title = f"{chart.subject[0].upper()}{chart.subject[1:]}"
         figures.append(Figure(title, pictures, note, wide))
     return figures
@@ -264,23 +256,12 @@ def _differences(runs: Sequence[Run], title: str, with_experiment: bool) -> list
 
 
 def _details(row: Row, run: Run) -> RunDetails:
+    """What the table of runs has no room for."""
     one = run.description
     resumed = ", ".join(f"update {again.get('update')}" for again in one.resumed)
-    facts = {
-        "Folder": run.label,
-        "Command": one.last_command,
-        "Commit": one.commit,
-        "Device": one.device,
-        "Precision": one.precision,
-        "PyTorch": one.torch,
-        "zipf": one.version,
-        "Updates": None if row.external else count_text(run.updates),
-        "Frames": count_text(run.frames),
-        "Wall time": None if row.external else duration_text(run.seconds),
-        "Resumed at": resumed or None,
-    }
+    facts = (("Folder", run.label), ("Command", one.last_command), ("Resumed at", resumed))
     configuration = yaml.safe_dump(dict(run.options), sort_keys=False) if run.options else ""
-    known = [(name, text) for name, text in facts.items() if text is not None]
+    known = [(name, text) for name, text in facts if text]
     return RunDetails(f"{row.title}, seed {one.seed}", known, configuration)
 
 
@@ -317,11 +298,6 @@ def _clip(run: Run, situation: video_files.VideosOfSituation, outcome: video_fil
 def breakable(text: str) -> Markup:
     """Text whose long words, such as lists of options, may be broken behind punctuation only."""
     return Markup(re.sub(r"([,=/:])(?=[^\d\s])", r"\1<wbr>", str(escape(text))))
-
-
-def _template(name: str) -> str:
-    folder = resources.files("zipf.experiments.reporting").joinpath("templates")
-    return folder.joinpath(name).read_text(encoding="utf-8")
 
 
 def _policy(script: str) -> str:

@@ -47,10 +47,6 @@ _HEAD = r"""% Compiles by itself; a paper with these packages and docmute can al
 \usepackage[margin=2cm]{geometry}
 \usepackage{booktabs}
 \usepackage{graphicx}
-\usepackage{siunitx}
-\usepackage{etoolbox}
-\robustify\bfseries
-\sisetup{separate-uncertainty = true, detect-weight = true, mode = text}
 \begin{document}
 
 """
@@ -82,18 +78,6 @@ def _heading(text: str) -> str:
     return lines[0] if len(lines) == 1 else rf"\shortstack[r]{{{LINE_BREAK.join(lines)}}}"
 
 
-def _column(cells: Sequence[str]) -> str:
-    """A column: of siunitx, aligned at the decimal point, if all its cells are scores or empty."""
-    found = [_SCORE.fullmatch(cell) for cell in cells if cell not in ("", NONE)]
-    if not all(found) or not found:
-        return "r"
-    whole = max(len(one[1]) for one in found if one)
-    sign = "-" if any(one[1].startswith("-") for one in found if one) else ""
-    error = "(2)" if any(one[2] for one in found if one) else ""
-    after = ", table-space-text-post = {$^*$}" if any(one[3] for one in found if one) else ""
-    return rf"S[table-format={sign}{whole - len(sign) - 3}.2{error}{after}]"
-
-
 def _best(grid: Grid, columns: Sequence[Sequence[str]]) -> list[float]:
     """For each column its best score, of agents that reached their window; NaN where columns are no
     level kinds, or not all their cells scores, or there is only one row."""
@@ -112,11 +96,9 @@ def _is_score(cell: str, score: float) -> bool:
     return found is not None and not found[3] and float(found[1]) == score
 
 
-def _cell(text: str, kind: str, bold: bool) -> str:
-    if kind == "r" or text in ("", NONE):
-        return rf"\textbf{{{_escape(text)}}}" if bold else f"{{{_escape(text)}}}"
-    shown = text.replace("±", r"\pm").replace(f" {LAST_MARK}", "{$^*$}")
-    return rf"\bfseries {shown}" if bold else shown
+def _cell(text: str, bold: bool) -> str:
+    shown = re.sub(r"(?<![\w.])-(?=\d)", "$-$", _escape(text))
+    return rf"\textbf{{{shown}}}" if bold else shown
 
 
 def _grid(grid: Grid, title: str, text: str) -> str:
@@ -125,7 +107,6 @@ def _grid(grid: Grid, title: str, text: str) -> str:
     wide = leading + sum(widths) > 8
     cells = [grid.cells(line) for line in (*grid.lines, *grid.baselines)]
     columns = [*zip(*(one[leading:] for one in cells), strict=True)]
-    kinds = [_column(column) for column in columns]
     best = _best(grid, columns)
     lines = [
         r"\begin{table}",
@@ -133,7 +114,7 @@ def _grid(grid: Grid, title: str, text: str) -> str:
         r"\footnotesize",
         rf"\setlength{{\tabcolsep}}{{{3 if wide else 4}pt}}",
         _NO_WIDER_THAN_THE_PAGE,
-        rf"\begin{{tabular}}{{l{'r' * (leading - 1)}{''.join(kinds)}}}",
+        rf"\begin{{tabular}}{{l{'r' * (leading - 1 + sum(widths))}}}",
         r"\toprule",
     ]
     names = [_heading(column) for column in grid.columns]
@@ -150,17 +131,17 @@ def _grid(grid: Grid, title: str, text: str) -> str:
             for first, width in zip(firsts, widths, strict=True)
         )
         lines.append("".join(rules))
-        below = (" & {ours} & {paper}" if width == 2 else " & {ours}" for width in widths)
+        below = (" & ours & paper" if width == 2 else " & ours" for width in widths)
         lines.append(rf"{headings}{''.join(below)} \\")
     else:
-        lines.append(rf"{headings} & {' & '.join(f'{{{name}}}' for name in names)} \\")
+        lines.append(rf"{headings} & {' & '.join(names)} \\")
     lines.append(r"\midrule")
     texts = []
     for number, given in enumerate(cells):
         shown = [_escape(cell) for cell in given[:leading]]
         for column, cell in enumerate(given[leading:]):
             bold = number < len(grid.lines) and _is_score(cell, best[column])
-            shown.append(_cell(cell, kinds[column], bold))
+            shown.append(_cell(cell, bold))
         texts.append(rf"{' & '.join(shown)} \\")
     if grid.baselines:
         texts.insert(len(grid.lines), r"\midrule")

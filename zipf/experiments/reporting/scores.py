@@ -108,7 +108,7 @@ def score_frame(
                     "spread": row.runs[0].description.spread,
                     "paper_value": published.value if published else np.nan,
                     "paper_error": error if error is not None else np.nan,
-                    **_baselines(baselines, levels, capped=_capped(runs[0], levels)),
+                    **_baselines(baselines, levels, capped=_capped(runs, levels)),
                     "window": ", ".join({str(window_of(run, window)): run for run in row.runs}),
                 }
             )
@@ -182,17 +182,19 @@ def _across_tasks(runs: Sequence[Run], levels: LevelGroup, window: Window) -> di
         "plain_score": weighted_mean(of_levels, equal),
         "plain_error": standard_error(of_levels, equal),
     }
-    if _capped(runs[0], levels):
+    if _capped(runs, levels):
         capped = np.minimum(of_levels, CAP)
         found["capped_score"] = weighted_mean(capped, weights)
         found["capped_error"] = standard_error(capped, weights)
     return found
 
 
-def _capped(run: Run, levels: LevelGroup) -> bool:
-    """Whether levels have capped scores: a human's score is 1 on each of them."""
-    return run.description.spread == "tasks" and all(
+def _capped(runs: Sequence[Run], levels: LevelGroup) -> bool:
+    """Whether levels have capped scores: a human's score is 1 on each of them. Some runs may lack
+    the kind, but not all."""
+    return runs[0].description.spread == "tasks" and all(
         level.normalised
+        for run in runs
         for level in run.description.levels
         if level.level_kind == levels.level_kind and level.level in levels.weights
     )

@@ -70,24 +70,10 @@ def statistics_frame(table: ScoreTable) -> pd.DataFrame:
     def add(
         row: Row, levels: LevelGroup, statistic: str, against: str, seeds: int, found: Interval
     ) -> None:
-        lines.append(
-            {
-                "table": table.name,
-                "experiment": table.description.experiment,
-                "condition": row.condition,
-                "title": row.title,
-                "external": row.external,
-                "level_kind": levels.level_kind,
-                "statistic": statistic,
-                "against": against,
-                "value": found.value,
-                "low": found.low,
-                "high": found.high,
-                "seeds": seeds,
-                "levels": len(levels.weights),
-                "row": row.key,
-            }
-        )
+        of_row = (table.name, table.description.experiment, row.condition, row.title, row.external)
+        estimate = (found.value, found.low, found.high)
+        counts = (seeds, len(levels.weights))
+        lines.append((*of_row, levels.level_kind, statistic, against, *estimate, *counts, row.key))
 
     for levels in table.kinds:
         known = {row: seed_scores(row, levels, table) for row in table.rows}

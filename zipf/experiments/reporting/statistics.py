@@ -91,9 +91,7 @@ def interquartile_mean(scores: NDArray[np.float64]) -> Interval:
 def improvement(scores: NDArray[np.float64], others: NDArray[np.float64]) -> Interval:
     """The probability that a seed of `scores` [seeds, levels] is better than one of `others` [other
     seeds, levels] on a level drawn at random; a tie counts half.
-    Raises ValueError: fewer than two seeds of either, or not as many levels."""
-    if scores.shape[1] != others.shape[1]:
-        raise ValueError(f"{scores.shape[1]} levels against {others.shape[1]}")
+    Raises ValueError: fewer than two seeds of either."""
     return bootstrap(_better, [*scores.T, *others.T])
 
 

@@ -139,7 +139,7 @@ def score_tables(
                 scores=whole,
                 groups=groups,
                 group_scores=parts,
-                notes=notes(group.runs, used),
+                notes=notes(rows, used),
             )
         )
     return tables
@@ -190,18 +190,16 @@ def _parts(levels: LevelGroup, paper: PaperTable | None) -> list[LevelGroup]:
     ]
 
 
-def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
-    """The notes of a table of these runs."""
-    found: list[str] = []
-    for run in runs:
-        found += run.notes
-    rows = {key: [run for run in runs if run.description.row_key == key] for key in _keys(runs)}
-    for of_row in rows.values():
+def notes(rows: Sequence[Row], window: Window) -> tuple[str, ...]:
+    """The notes of a table of these rows."""
+    runs = [run for row in rows for run in row.runs]
+    found = [note for run in runs for note in run.notes]
+    for row in rows:
         texts: dict[str, list[int]] = {}
-        for run in of_row:
+        for run in row.runs:
             for text in _window_notes(run, window_of(run, window)):
                 texts.setdefault(text, []).append(run.description.seed)
-        title = of_row[0].description.row.title
+        title = row.runs[0].description.row.title
         found += [f"{title}, {seeds_list(seeds)}: {text}" for text, seeds in texts.items()]
     devices = devices_of(runs)
     if len(devices) > 1:
@@ -211,13 +209,9 @@ def notes(runs: Sequence[Run], window: Window) -> tuple[str, ...]:
         )
     found += [note for name in BASELINE_NAMES for note in _baseline_notes(runs, name)]
     found += _floor_notes(runs)
-    for of_row in rows.values():
-        found += _seeds_notes(of_row) + _pretrained_notes(of_row)
+    for row in rows:
+        found += _seeds_notes(row.runs) + _pretrained_notes(row.runs)
     return tuple(found)
-
-
-def _keys(runs: Sequence[Run]) -> list[str]:
-    return list(dict.fromkeys(run.description.row_key for run in runs))
 
 
 def _window_notes(run: Run, window: Window) -> list[str]:

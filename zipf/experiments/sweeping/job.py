@@ -62,6 +62,11 @@ class Outcome:
     state: State
     text: str
 
+    @property
+    def is_last(self) -> bool:
+        """Whether nothing more becomes of the job."""
+        return self.state not in ("begun", "running")
+
 
 class Board:
     """A folder of files through which jobs report their state and learn that the sweep stops.

@@ -84,7 +84,7 @@ class Launch:
             give_back(before)
         for i, job in enumerate(self.task.jobs):
             outcome = self.task.board.outcome(job)
-            if outcome is None or outcome.state in ("begun", "running"):
+            if outcome is None or not outcome.is_last:
                 why = broken or (_error(returned[i]) if i < len(returned) else "")
                 outcome = self._without_outcome(outcome is not None, why)
                 self._progress.show(job, outcome)
@@ -117,6 +117,8 @@ class Launch:
         while True:
             last = self._ended.wait(POLL)
             for job in self.task.jobs:
+                if job in shown and shown[job].is_last:
+                    continue
                 outcome = self.task.board.outcome(job)
                 if outcome is not None and outcome != shown.get(job):
                     shown[job] = outcome

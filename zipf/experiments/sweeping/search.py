@@ -15,35 +15,21 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from hydra.core.override_parser.types import IntervalSweep, Override
-from pydantic import ValidationError
 
 from zipf.errors import UserError, writing
-from zipf.experiments.building import loading, run_folder
-from zipf.experiments.options import command_line, config_files
+from zipf.experiments.building import run_folder
+from zipf.experiments.options import command_line
 from zipf.experiments.options.naming import with_hash
-from zipf.experiments.options.schema import PositiveInt, Seed
+from zipf.experiments.options.schema import RandomSearch
 from zipf.experiments.records.wording import updates_text
 from zipf.experiments.sweeping import sweeps
-from zipf.options import Options
 from zipf.protocol import KINDS
 
 DIGITS = 3  # significant, of numbers from intervals; ours: they are parts of folders' names
 _DRAWS = 1000  # ours: after as many that were there before there are no others
-
-
-class RandomSearch(Options):
-    """`search=random`: values are drawn from `seed`, each trial's anew, and all runs are begun.
-
-    `objective` is the kind of levels whose score is the larger, the better.
-    """
-
-    trials: PositiveInt
-    objective: Literal["train", "validation"]
-    seed: Seed
 
 
 @dataclass(frozen=True)
@@ -150,7 +136,9 @@ class Search:
         self._fixed = [str(one.input_line) for one in rest if one not in [*lists, *seeds]]
         self._seeds = [str(one.input_line) for one in seeds]
         drawn = list(itertools.islice(self._draws(), self.options.trials))
-        first = loading.read([*self._fixed, *self._words(drawn[0])])
+        self._trials = [_Tried(values, self._runs(values)) for values in drawn]
+        self.jobs = [job for one in self._trials for job in one.jobs]
+        first = self.jobs[0].config
         kinds = [kind for kind in first.split.kinds if kind in ("train", "validation")]
         if self.options.objective not in kinds:
             raise UserError(
@@ -159,8 +147,6 @@ class Search:
             )
         self.folder = first.folder.parent.parent / self._folder_name()
         self._end = first.updates, first.schedule.window
-        self._trials = [_Tried(values, self._runs(values)) for values in drawn]
-        self.jobs = [job for one in self._trials for job in one.jobs]
         used = Counter(job.config.folder for job in self.jobs)
         if shared := [folder for folder, times in used.items() if times > 1]:
             raise UserError(
@@ -268,30 +254,23 @@ def _options(own: Sequence[Override]) -> RandomSearch:
             raise UserError(f"{one.input_line}: should be one value; a search is not swept over")
     if names[-1] != "random":
         raise UserError(f"search={names[-1]:.200}: no such search; there is random")
-    written = config_files.find("search", "random")
-    assert written is not None
-    given = {one.key_or_group: one.value() for one in own if one.key_or_group != "search"}
-    objective = given.get("search.objective")
+    given = {
+        one.key_or_group.removeprefix("search."): one.value()
+        for one in own
+        if one.key_or_group != "search"
+    }
+    objective = given.get("objective")
     if objective in KINDS and objective not in ("train", "validation"):
         raise UserError(
             f"search.objective={objective}: what is chosen by {objective} scores is no longer "
             "tested by them; should be train or validation"
         )
-    values = {option.removeprefix("search."): value for option, value in given.items()}
+    words = [f"{option}={value}" for option, value in given.items()]
     try:
-        return RandomSearch.model_validate({**written.values, **values})
-    except ValidationError as error:
-        accepted = [f"search.{option}" for option in RandomSearch.model_fields]
-        raise UserError("\n".join(_mistakes(error, accepted))) from None
-
-
-def _mistakes(error: ValidationError, accepted: list[str]) -> Iterator[str]:
-    for one in error.errors():
-        option = f"search.{one['loc'][0]}"
-        if one["type"] == "extra_forbidden":
-            yield f"{option}: no such option; {command_line.nearest(option, accepted)}"
-        else:
-            yield f"{option}={one['input']!s:.200}: {one['msg'].removeprefix('Input ')}"
+        return command_line.read_options(RandomSearch, words)
+    except UserError as error:
+        lines = str(error).splitlines()
+        raise UserError("\n".join(f"search.{line}" for line in lines)) from None
 
 
 def _dimension(override: Override) -> Dimension:

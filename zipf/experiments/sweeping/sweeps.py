@@ -100,8 +100,8 @@ def check(overrides: list[str], is_finished: Callable[[Config], bool] = lambda _
     """All jobs of a command line. A finished one is not checked for what it would need to run.
 
     Raises:
-        UserError: with one line for every mistake in any of the jobs, or where two of them would
-            use the same folder.
+        UserError: with one line for every mistake in any of the jobs; or two of them would use the
+            same folder, or none are left.
     """
     if searches := [word for word in overrides if for_search(word)]:
         raise UserError(f"{searches[0]}: is a sweep of many runs: add -m, without --explain")
@@ -123,7 +123,8 @@ def check(overrides: list[str], is_finished: Callable[[Config], bool] = lambda _
         except UserError as error:
             problems.update(dict.fromkeys(str(error).splitlines()))
     problems.update(dict.fromkeys(_shared_folders(jobs)))
-    if problems:
+    if problems or not jobs:
+        problems = problems or left_out
         raise UserError("\n".join(problems))
     return Sweep(tuple(jobs), tuple(left_out))
 
@@ -311,8 +312,11 @@ def _conditions(sweep: str, named: str | list[str], experiment: str) -> dict[str
 
 
 def _of_the_papers_table(sweep: str, experiment: str) -> Iterable[str]:
-    split = composing.composed(f"experiment={experiment}").values["environment"]["split"]
-    published = envs.split(split).paper
+    environment = composing.composed(f"experiment={experiment}").values["environment"]
+    try:
+        published = envs.split(environment["split"]).paper
+    except (LookupError, TypeError, ValueError):  # it chooses no envs, or of no split
+        published = None
     if published is None:
         raise UserError(
             f"sweep={sweep}: conditions: paper: the paper has no table of experiment={experiment}"

@@ -15,6 +15,7 @@ from rich.text import Text
 from zipf import output
 from zipf.envs import KINDS
 from zipf.experiments.evaluation.evaluator import Result, scores
+from zipf.experiments.records.wording import duration_text
 from zipf.experiments.training.clock import PARTS, shares
 
 
@@ -42,6 +43,7 @@ class Display:
         console: Console | None = None,
     ):
         self.console = console or output.console()
+        self._is_muted = console is not None and console.quiet
         self.name = name
         self.updates = updates
         self.update = update
@@ -76,8 +78,9 @@ class Display:
         self.console.print(line, soft_wrap=True, markup=False)
 
     def warn(self, line: str) -> None:
-        """Prints a line that is not left out where others are: then to standard error."""
-        if output.is_quiet():
+        """Prints a line that is not left out where others are, then to standard error; not by those
+        learners that print nothing."""
+        if output.is_quiet() and not self._is_muted:
             print(line, file=sys.stderr)
         else:
             self.say(line)
@@ -123,7 +126,7 @@ class Display:
         if not self.metrics or self.update >= self.updates:
             return []
         frames = (self.updates - self.update) * self.frames_per_update
-        return [f"{_duration(frames / self.metrics['frames_per_second'])} left"]
+        return [f"{duration_text(frames / self.metrics['frames_per_second'])} left"]
 
     def _panel(self) -> Group:
         scores = Table.grid(padding=(0, 3))
@@ -142,11 +145,3 @@ class Display:
         known = shares(seconds, m["seconds"], self.takes_turns)
         split = "  ".join(f"{part} {share}%" for part, share in known.items())
         return Group(name, self.progress, scores, f"[dim]time: {split}[/]")
-
-
-def _duration(seconds: float) -> str:
-    """At least two of the largest unit that fits, such as `90 min` and `3 h`."""
-    for size, unit in ((365 * 86_400, "years"), (86_400, "days"), (3_600, "h"), (60, "min")):
-        if seconds >= 2 * size:
-            return f"{seconds / size:,.0f} {unit}"
-    return f"{seconds:.0f} s"

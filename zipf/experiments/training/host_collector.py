@@ -126,10 +126,6 @@ class HostCollector(Collector):
         episodes, self._episodes = dict(self._episodes), defaultdict(list)
         return episodes
 
-    def take_visits(self) -> Visits:
-        """How often each situation was met since the last call, or since the beginning."""
-        return self.visits.take()
-
     def state_dict(self) -> dict[str, Any]:
         """Everything that the next unroll depends on."""
         fields = self._buffers[-1].fields

@@ -229,7 +229,7 @@ class BackgroundRollouts(SynchronousRollouts):
         if self._pending is None:
             self._pending = self.collector.collect()
         self._unroll = self._pending
-        self._learned_from = self.collector.take_visits(), self.collector.take_episodes()
+        self._learned_from = self.collector.visits.take(), self.collector.take_episodes()
         if self._stream is not None:  # the published weights have arrived
             torch.cuda.current_stream(self._stream.device).synchronize()
         self._collecting = self._thread.submit(self._collect)
@@ -268,7 +268,7 @@ class BackgroundRollouts(SynchronousRollouts):
         super().load_state_dict(state)
         self.agent.publish()
         if "tensor_envs" in state:
-            self._visits = self.collector.take_visits()
+            self._visits = self.collector.visits.take()
             self._pending = None
             return
         self._visits.load_state_dict(arrays(state["visits"]))
