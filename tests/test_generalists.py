@@ -194,10 +194,10 @@ def test_in_the_gridworld_what_is_unseen_changes_nothing(memory: bool) -> None:
     assert differed > 10_000
 
 
-def test_in_the_gridworld_batches_of_any_size_play_alike_and_seeds_differ() -> None:
-    def answers(num_envs: int, first: int, **options: int) -> NDArray[np.int64]:
+def test_in_the_gridworld_batches_of_any_size_play_alike() -> None:
+    def answers(num_envs: int, first: int) -> NDArray[np.int64]:
         env = gridworld(num_envs)
-        player = GridworldGeneralist(env, **options)
+        player = GridworldGeneralist(env)
         env.reset(seed=first)
         made = []
         for _ in range(40):
@@ -205,10 +205,7 @@ def test_in_the_gridworld_batches_of_any_size_play_alike_and_seeds_differ() -> N
             env.step(made[-1])
         return np.array(made)
 
-    batch = answers(6, 10)
-    np.testing.assert_array_equal(batch[:, 4:5], answers(1, 14))
-    np.testing.assert_array_equal(batch, answers(6, 10, seed=0))
-    assert (batch != answers(6, 10, seed=1)).any()
+    np.testing.assert_array_equal(answers(6, 10)[:, 4:5], answers(1, 14))
 
 
 def test_in_the_gridworld_another_episode_is_not_remembered() -> None:
